@@ -18,7 +18,7 @@ use placed::Placed;
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
-use crate::photo_path::{PhotoPath, find_each};
+use crate::photo_path::{PhotoPath, Tie, find_each};
 use crate::poses::left_out::in_words;
 use crate::poses::model::SparseModel;
 use crate::poses::{
@@ -112,12 +112,24 @@ impl GivenPoses {
         })
     }
 
-    /// Reads the file and forgets it: whether [`Sfm::poses`] will be able to.
+    /// Reads the file and forgets it: for how many photographs it has a pose.
     ///
     /// # Errors
-    /// What is wrong with the file.
-    pub fn check(&self) -> Result<(), PosesError> {
-        self.assign(self.read()?.0).map(drop)
+    /// What is wrong with the file, for which [`Sfm::poses`] will fail.
+    pub fn check(&self) -> Result<usize, PosesError> {
+        let assigned = self.assign(self.read()?.0)?;
+        Ok(assigned.iter().flatten().count())
+    }
+
+    /// What the file calls photographs, where it names them.
+    ///
+    /// # Errors
+    /// Those of [`Self::check`].
+    pub fn names(&self) -> Result<Vec<PhotoPath>, PosesError> {
+        Ok(match self.read()?.0 {
+            Assignment::ByPath(views) => views.into_iter().map(|(name, _)| name).collect(),
+            Assignment::ByOrder(_) => Vec::new(),
+        })
     }
 
     /// With somebody who finds points where the poses come without.
@@ -281,14 +293,26 @@ impl GivenPoses {
             );
             return PosesError::bad_file(Path::new(&*self.label()), reason);
         }
+        let advice = format!(
+            "the names in {} must be those of the photographs{}",
+            self.label(),
+            self.unlike_names().unwrap_or_default()
+        );
         PosesError::TooFew {
             registered,
             total,
-            advice: format!(
-                "the names in {} must be those of the photographs",
-                self.label()
-            ),
+            advice,
         }
+    }
+
+    /// A name that the file has, and that of a photograph, which are not the same.
+    fn unlike_names(&self) -> Option<String> {
+        let names = self.names().ok()?;
+        let name = { names.iter() }.find(|name| !self.photographs.contains(name))?;
+        let photograph = self.photographs.first()?;
+        Some(format!(
+            "; it has `{name}`, and a photograph is called `{photograph}`"
+        ))
     }
 
     /// The pose of each photograph of the capture, where it has one.
@@ -300,8 +324,9 @@ impl GivenPoses {
                 views.dedup();
                 let (names, views): (Vec<_>, Vec<_>) = views.into_iter().unzip();
                 let found = find_each(&names, &self.photographs);
-                let found =
-                    found.map_err(|tie| PosesError::bad_file(&self.path, tie.to_string()))?;
+                let label = self.label();
+                let refused = |tie: Tie| PosesError::bad_file(Path::new(&*label), tie.to_string());
+                let found = found.map_err(refused)?;
                 Ok(found.into_iter().map(|at| views[at?]).collect())
             }
             Assignment::ByOrder(rows) => self.assign_by_order(rows),

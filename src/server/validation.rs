@@ -114,9 +114,8 @@ fn opened(
     let capture = Capture::open_watched(path, scratch, watch)?;
     let poses = match &capture.poses {
         None => Ok(()),
-        Some(given) => {
-            GivenPoses::open(given.path(), &capture.photographs).and_then(|given| given.check())
-        }
+        Some(given) => GivenPoses::open(given.path(), &capture.photographs)
+            .and_then(|given| given.check().map(drop)),
     };
     Ok((capture, poses))
 }

@@ -99,29 +99,29 @@ impl Layout {
             .cloned()
             .collect();
         // Those that name photographs.
-        let has_poses = others.iter().any(|e| {
+        let are_poses = |e: &&Entry| {
             let name = e.path.name().to_ascii_lowercase();
             POSE_FILES.contains(&&*name) && name != "poses_bounds.npy"
-        });
+        };
+        let named_poses: Vec<&Entry> = others.iter().filter(are_poses).collect();
         let has_low_and_high = place::part_low_light(&mut pictures);
         let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
             .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
         let Place {
             folder,
             photographs,
+            others: elsewhere,
             warning,
-        } = place_of(pictures, has_poses, &unused)?;
+        } = place_of(pictures, &named_poses, &unused)?.named_by(&pose_files::names(&named_poses));
         let mut warnings = Vec::from_iter(warning);
+        let truth = beside_photographs(truth, &photographs, &folder);
         let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
             let message = format!("ground truth is not used: {tie}");
             warnings.push(CaptureWarning::new("gt_missing", message));
             HashMap::new()
         });
-        let near = PhotoPath::new(&folder);
-        let (poses, pose_files) = ["", near.folder()]
-            .iter()
-            .find_map(|base| pose_files::find(&others, base, &photographs, &mut warnings))
-            .unzip();
+        let found = pose_files::find(&others, &folder, &photographs, &elsewhere, &mut warnings);
+        let (poses, pose_files) = found.unzip();
         Ok(Self {
             ground_truth,
             unused: beside(unused, &photographs, &folder),
@@ -195,7 +195,7 @@ fn is_unused(entry: &Entry) -> bool {
 /// error names one of these.
 fn place_of(
     pictures: Vec<Entry>,
-    has_poses: bool,
+    poses: &[&Entry],
     unused: &[Entry],
 ) -> Result<Place, CaptureError> {
     let video = unused.iter().find(|entry| is_video(&entry.file));
@@ -203,7 +203,7 @@ fn place_of(
         let path = PathBuf::from(entry.path.as_str());
         Unread::named(&path).map(|format| CaptureError::Unread { path, format })
     };
-    place::find(pictures, has_poses, video).map_err(|error| match error {
+    place::find(pictures, poses, video).map_err(|error| match error {
         CaptureError::NoPhotographs { video: None, .. } => {
             unused.iter().find_map(unread).unwrap_or(error)
         }
@@ -244,6 +244,24 @@ fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry>
     unused.into_iter().filter_map(below).collect()
 }
 
+/// Where a path of ground truth has its folder.
+fn truth_at(path: &PhotoPath) -> usize {
+    let is_truth = |part: &str| place::TRUTH.iter().any(|t| part.eq_ignore_ascii_case(t));
+    path.as_str().split('/').position(is_truth).unwrap_or(0)
+}
+
+/// Ground truth whose folder lies in one that has photographs, too: trainers write renders and
+/// what they compare them with under numbers of their own.
+fn beside_photographs(truth: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry> {
+    let is_beside = |entry: &Entry| {
+        let parts: Vec<&str> = entry.path.as_str().split('/').collect();
+        let parent = parts[..truth_at(&entry.path)].join("/");
+        let mut all = photographs.iter();
+        all.any(|photograph| photograph.path.inside(folder).below(&parent).is_some())
+    };
+    truth.into_iter().filter(is_beside).collect()
+}
+
 /// Sharp pictures by the photographs that they show, whose names they have below their folder.
 fn of_photographs(
     truth: &[Entry],
@@ -251,9 +269,7 @@ fn of_photographs(
 ) -> Result<HashMap<PhotoPath, Entry>, Tie> {
     let below = |entry: &Entry| {
         let parts: Vec<&str> = entry.path.as_str().split('/').collect();
-        let is_truth = |part: &&str| place::TRUTH.iter().any(|t| part.eq_ignore_ascii_case(t));
-        let at = parts.iter().position(is_truth).unwrap_or(0);
-        PhotoPath::new(&parts[at + 1..].join("/"))
+        PhotoPath::new(&parts[truth_at(&entry.path) + 1..].join("/"))
     };
     let names: Vec<PhotoPath> = truth.iter().map(below).collect();
     let paths: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::entries::Entry;
 use super::error::{CaptureError, MIN_VIEWS};
 use super::photograph::CaptureWarning;
+use crate::photo_path::PhotoPath;
 
 /// Folders of ground truth.
 pub(super) const TRUTH: [&str; 2] = ["gt", "hl"];
@@ -25,7 +26,7 @@ const HOMES: [&str; 11] = [
 ];
 
 /// Folders of pictures that were made of the photographs, as scanners and trainers write them.
-pub(super) const MADE: [&str; 18] = [
+pub(super) const MADE: [&str; 22] = [
     "depth",
     "depths",
     "depth_maps",
@@ -41,10 +42,17 @@ pub(super) const MADE: [&str; 18] = [
     "semantics",
     "segmentation",
     "corrected_images",
+    "thumb",
     "thumbs",
+    "thumbnail",
     "thumbnails",
+    "preview",
+    "previews",
     "sparse_gt",
 ];
+
+/// How the names of such folders end that begin otherwise.
+const MADE_ENDS: [&str; 4] = ["_mask", "_masks", "_depth", "_depths"];
 
 /// Folders that part the photographs of one scene.
 const PARTS: [&[&str]; 2] = [
@@ -54,6 +62,15 @@ const PARTS: [&[&str]; 2] = [
         "center", "centre",
     ],
 ];
+
+/// Whether a picture lies in a folder of such pictures, or in one like `sam_masks/`.
+fn is_made(entry: &Entry) -> bool {
+    let ends_so = |part: &str| {
+        let part = part.to_ascii_lowercase();
+        MADE_ENDS.iter().any(|end| part.ends_with(end))
+    };
+    entry.path.lies_in(&MADE) || entry.path.folder().split('/').any(ends_so)
+}
 
 /// Whether the pictures are those of a set of low light: photographs in `low/` and, of some of
 /// them, bright ones of the same names in `high/`. Takes `low/` from their paths, as that is where
@@ -79,9 +96,14 @@ pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
     true
 }
 
-/// Whether a picture lies in `high/`.
+/// Whether a picture lies in `high/`, which some sets call `normal/`.
 pub(super) fn is_high(entry: &Entry) -> bool {
-    top(entry).is_some_and(|top| top.eq_ignore_ascii_case("high"))
+    let is_called = |top: &str| {
+        ["high", "normal"]
+            .iter()
+            .any(|n| top.eq_ignore_ascii_case(n))
+    };
+    top(entry).is_some_and(is_called)
 }
 
 /// Where the photographs lie.
@@ -91,22 +113,59 @@ pub(super) struct Place {
     pub(super) folder: String,
     /// Their paths are those below it.
     pub(super) photographs: Vec<Entry>,
-    /// A warning of pictures elsewhere.
+    /// Pictures elsewhere, which are not read.
+    pub(super) others: Vec<Entry>,
+    /// A warning of them.
     pub(super) warning: Option<CaptureWarning>,
 }
 
+impl Place {
+    /// With the pictures that poses name in place of others of the same names.
+    pub(super) fn named_by(self, names: &[PhotoPath]) -> Self {
+        let folders: BTreeSet<&str> = names.iter().map(PhotoPath::folder).collect();
+        let is_named = |entry: &Entry| {
+            let folder = entry.path.folder();
+            !folder.is_empty() && folders.contains(folder) && !is_copy(entry)
+        };
+        let own = { self.photographs.iter() }.map(|entry| Entry {
+            path: entry.path.inside(&self.folder),
+            ..entry.clone()
+        });
+        let own: Vec<Entry> = own.collect();
+        let named: Vec<&Entry> = self.others.iter().filter(|e| is_named(e)).collect();
+        if own.iter().any(is_named) || named.len() < MIN_VIEWS {
+            return self;
+        }
+        let of_named: BTreeSet<&str> = named.iter().map(|entry| entry.path.folder()).collect();
+        let folder = match of_named.first() {
+            Some(folder) if of_named.len() == 1 => (*folder).to_owned(),
+            _ => String::new(),
+        };
+        chosen(
+            &folder,
+            own.into_iter().chain(self.others).collect(),
+            is_named,
+        )
+    }
+}
+
+/// Whether a picture is a small copy of a photograph, as LLFF has them beside.
+fn is_copy(entry: &Entry) -> bool {
+    top(entry).is_some_and(|top| top.to_ascii_lowercase().starts_with("images_"))
+}
+
 /// The photographs among all pictures but ground truth. Poses that came with them tell which are
-/// meant, so that folders of any names may part them. Without photographs, a video may be told of.
+/// meant, so that folders of any names may part them, unless each has `poses` of its own. Without
+/// photographs, a video may be told of.
 ///
 /// # Errors
 /// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
 pub(super) fn find(
     pictures: Vec<Entry>,
-    has_poses: bool,
+    poses: &[&Entry],
     video: Option<&Entry>,
 ) -> Result<Place, CaptureError> {
-    let (made, candidates): (Vec<_>, Vec<_>) =
-        { pictures.into_iter() }.partition(|entry| entry.path.lies_in(&MADE));
+    let (made, candidates): (Vec<_>, Vec<_>) = { pictures.into_iter() }.partition(is_made);
     if candidates.is_empty() {
         return Err(CaptureError::NoPhotographs {
             seen: places(&made),
@@ -116,20 +175,26 @@ pub(super) fn find(
     let in_root = { candidates.iter() }
         .filter(|entry| entry.path.folder().is_empty())
         .count();
-    let has_images = candidates
-        .iter()
-        .any(|entry| top(entry).is_some_and(is_images));
-    if !has_images && in_root >= MIN_VIEWS && !has_poses {
+    let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();
+    let in_images = { candidates.iter() }.filter(|entry| top(entry).is_some_and(is_images));
+    let has_images = in_images.count() >= MIN_VIEWS;
+    if !has_images && in_root >= MIN_VIEWS && !are_spanned(&tops, poses) {
         return Ok(chosen("", candidates, |entry| {
             entry.path.folder().is_empty()
         }));
     }
     for home in HOMES {
         if let Some(homes) = called(home, &candidates) {
+            let is_inside = |entry: &Entry| homes.iter().any(|h| entry.path.below(h).is_some());
+            // Too few beside others are a logo or a cover.
+            let inside = candidates.iter().filter(|entry| is_inside(entry)).count();
+            if inside < MIN_VIEWS.min(candidates.len()) {
+                continue;
+            }
             let parents: BTreeSet<&str> = { homes.iter() }
                 .map(|home| home.rsplit_once('/').map_or("", |(p, _)| p))
                 .collect();
-            if homes.len() > 1 && !has_poses && !are_parts(&parents) {
+            if homes.len() > 1 && !are_spanned(&parents, poses) && !are_parts(&parents) {
                 return Err(scattered(&candidates));
             }
             let folder = if homes.len() == 1 {
@@ -137,21 +202,17 @@ pub(super) fn find(
             } else {
                 String::new()
             };
-            return Ok(chosen(&folder, candidates, |entry| {
-                homes.iter().any(|home| entry.path.below(home).is_some())
-            }));
+            return Ok(chosen(&folder, candidates, is_inside));
         }
     }
-    let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();
-    let are_copies = tops
-        .iter()
-        .any(|top| top.to_ascii_lowercase().starts_with("images_"));
-    let is_one = tops.len() < 2 || !are_copies && (has_poses || are_parts(&tops));
+    let are_copies = candidates.iter().any(is_copy);
+    let are_spanned = are_spanned(&tops, poses);
+    let is_one = tops.len() < 2 || !are_copies && (are_spanned || are_parts(&tops));
     if !is_one {
         return Err(scattered(&candidates));
     }
     // Too few beside a folder are its cover.
-    let all = has_poses || tops.is_empty() || in_root >= MIN_VIEWS;
+    let all = are_spanned || tops.is_empty() || in_root >= MIN_VIEWS;
     Ok(chosen("", candidates, |entry| all || top(entry).is_some()))
 }
 
@@ -183,6 +244,14 @@ fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
     Some(least.into_iter().collect())
 }
 
+/// Whether there are poses outside of these folders, which can be those of all.
+fn are_spanned(folders: &BTreeSet<&str>, poses: &[&Entry]) -> bool {
+    let is_outside = |folder: &&str, e: &Entry| folder.is_empty() || e.path.below(folder).is_none();
+    poses
+        .iter()
+        .any(|e| folders.iter().all(|folder| is_outside(folder, e)))
+}
+
 /// Whether folders part one scene: by known words, or as `cam0` and `cam1`, `100CANON` and
 /// `101CANON` do.
 fn are_parts(folders: &BTreeSet<&str>) -> bool {
@@ -203,29 +272,23 @@ fn are_parts(folders: &BTreeSet<&str>) -> bool {
 /// Those that are meant, with their paths below `folder`.
 fn chosen(folder: &str, candidates: Vec<Entry>, is_meant: impl Fn(&Entry) -> bool) -> Place {
     let (meant, others): (Vec<_>, Vec<_>) = candidates.into_iter().partition(is_meant);
+    let told: Vec<Entry> = { others.iter() }.filter(|e| !is_copy(e)).cloned().collect();
+    let warning = (!told.is_empty()).then(|| {
+        let message = format!(
+            "photographs are read from {}; not from {}: move them there if they belong to it",
+            in_words(&places(&meant)),
+            in_words(&places(&told))
+        );
+        CaptureWarning::new("elsewhere", message)
+    });
     let photographs = { meant.into_iter() }.map(|entry| Entry {
         path: entry.path.below(folder).unwrap_or(entry.path),
         ..entry
     });
-    // Small copies of them, as LLFF has them beside.
-    let is_copy = |entry: &&Entry| {
-        top(entry).is_some_and(|top| top.to_ascii_lowercase().starts_with("images_"))
-    };
-    let others: Vec<Entry> = { others.iter() }.filter(|e| !is_copy(e)).cloned().collect();
-    let warning = (!others.is_empty()).then(|| {
-        let from = match folder {
-            "" => "this folder itself".to_owned(),
-            folder => format!("{folder}/"),
-        };
-        let message = format!(
-            "photographs are read from {from}; not from {}: move them there if they belong to it",
-            in_words(&places(&others))
-        );
-        CaptureWarning::new("elsewhere", message)
-    });
     Place {
         folder: folder.to_owned(),
         photographs: photographs.collect(),
+        others,
         warning,
     }
 }

@@ -1,38 +1,163 @@
 //! Which files of a capture give its poses.
 
-use std::path::PathBuf;
+use std::collections::BTreeSet;
 
 use super::entries::Entry;
-use super::layout::GivenPosesFile;
+use super::error::MIN_VIEWS;
+use super::layout::{GivenPosesFile, POSE_FILES};
 use super::photograph::CaptureWarning;
-use crate::photo_path::{PhotoPath, find_each};
-use crate::poses::model::SparseModel;
+use crate::dataset::GivenPoses;
+use crate::photo_path::PhotoPath;
 
 /// Folders in which COLMAP models are looked for, themselves or one for each model; "" is the
 /// capture, in which only a model of its own is. `sparse_gt/` is not among them: poses are measured
 /// against it, it gives none.
 const MODELS: [&str; 4] = ["sparse", "colmap/sparse", "dense/sparse", ""];
 
-/// Poses and their files, seen from the folder `base`, in the order of preference.
+/// Folders whose models are no poses of the capture.
+const NO_POSES: [&str; 1] = ["sparse_gt"];
+
+/// Poses of the capture.
+struct Set {
+    /// Their path inside the capture, for a sentence.
+    name: String,
+    given: GivenPosesFile,
+    files: Vec<Entry>,
+}
+
+/// What NeRF's files of poses call photographs, seen from the capture: they name their folders.
+pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
+    let json = { entries.iter() }.filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json"));
+    let names = json.filter_map(|entry| {
+        let names = GivenPoses::open(&entry.file, &[]).ok()?.names().ok()?;
+        let folder = entry.path.folder().to_owned();
+        Some(names.into_iter().map(move |name| name.inside(&folder)))
+    });
+    names.flatten().collect()
+}
+
+/// The poses of photographs that lie in `folder`, and their files: of those in known places, beside
+/// that folder before the capture's own, otherwise of those anywhere the ones of most photographs,
+/// in the order of preference. Some may be those of pictures `elsewhere`, which are not read.
 pub(super) fn find(
     entries: &[Entry],
-    base: &str,
+    folder: &str,
     photographs: &[Entry],
+    elsewhere: &[Entry],
     warnings: &mut Vec<CaptureWarning>,
 ) -> Option<(GivenPosesFile, Vec<Entry>)> {
-    let mut models: Vec<Model> = MODELS
-        .iter()
-        .flat_map(|folder| models_in(entries, base, folder))
+    let own: Vec<PhotoPath> = photographs.iter().map(|e| e.path.inside(folder)).collect();
+    let of_these = |mut sets: Vec<Set>| {
+        sets.retain(|set| !set.is_beside(elsewhere, &own));
+        sets
+    };
+    let near = PhotoPath::new(folder);
+    let known = [near.folder(), ""].map(|base| of_these(in_known_places(entries, base)));
+    let known = known.into_iter().find(|sets| !sets.is_empty());
+    let is_known = known.is_some();
+    let mut sets = known.unwrap_or_else(|| of_these(anywhere(entries)));
+    if !(is_known && sets.len() == 1) {
+        let counts: Vec<Option<usize>> = sets.iter().map(|set| posed(set, photographs)).collect();
+        let most = counts.iter().max().copied().flatten();
+        if !is_known && most.is_none_or(|most| most < MIN_VIEWS) {
+            warnings.extend(unused(entries, &sets, &counts));
+            return None;
+        }
+        let first = counts.iter().position(|count| *count == most).unwrap_or(0);
+        let which = match sets.len() {
+            1 => String::new(),
+            count => format!(", one of {count} sets"),
+        };
+        let message = format!(
+            "the poses of {} are taken{which}; photographs with a pose: {}",
+            sets[first].name,
+            told(&sets, &counts)
+        );
+        warnings.push(CaptureWarning::new("models", message));
+        sets.swap(0, first);
+    }
+    let Set { given, files, .. } = sets.into_iter().next()?;
+    Some((given, files))
+}
+
+impl Set {
+    /// Whether a folder around them has several of these pictures and no photographs.
+    fn is_beside(&self, pictures: &[Entry], photographs: &[PhotoPath]) -> bool {
+        let own = self.files[0].path.folder();
+        let ends = own.match_indices('/').map(|(at, _)| at);
+        let mut around = ends
+            .chain([own.len()])
+            .map(|end| &own[..end])
+            .filter(|f| !f.is_empty());
+        around.any(|folder| {
+            let inside = pictures.iter().filter(|e| e.path.below(folder).is_some());
+            inside.count() >= MIN_VIEWS && photographs.iter().all(|p| p.below(folder).is_none())
+        })
+    }
+}
+
+/// How many photographs have one of these poses; `None` where they cannot be read.
+fn posed(set: &Set, photographs: &[Entry]) -> Option<usize> {
+    let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
+    let given = GivenPoses::open(set.given.path(), &photographs);
+    given.and_then(|given| given.check()).ok()
+}
+
+fn told(sets: &[Set], counts: &[Option<usize>]) -> String {
+    let told = |(set, count): (&Set, &Option<usize>)| match count {
+        Some(count) => format!("{} {count}", set.name),
+        None => format!("{} cannot be read", set.name),
+    };
+    let all: Vec<String> = sets.iter().zip(counts).map(told).collect();
+    all.join(", ")
+}
+
+/// A warning of files that give no poses.
+fn unused(entries: &[Entry], sets: &[Set], counts: &[Option<usize>]) -> Option<CaptureWarning> {
+    if !sets.is_empty() {
+        let message = format!(
+            "poses are not used, as too few photographs have the names in them: {}",
+            told(sets, counts)
+        );
+        return Some(CaptureWarning::new("poses_unused", message));
+    }
+    let is_part = |e: &&Entry| {
+        let name = e.path.name().to_ascii_lowercase();
+        POSE_FILES.contains(&&*name) && !e.path.lies_in(&NO_POSES)
+    };
+    let lone: Vec<&str> = { entries.iter() }
+        .filter(is_part)
+        .map(|e| e.path.as_str())
         .collect();
-    if models.len() > 1 {
-        let largest = largest(&models, photographs, warnings);
-        models.swap(0, largest);
-    }
-    if let Some(model) = models.into_iter().next() {
-        return Some((GivenPosesFile::ColmapModel(model.folder), model.files));
-    }
+    let message = format!(
+        "no poses are read from {}: a COLMAP model is `cameras` and `images` in one folder, both \
+         .bin or both .txt, and poses beside other pictures are those of them",
+        lone.join(", ")
+    );
+    (!lone.is_empty()).then(|| CaptureWarning::new("poses_unused", message))
+}
+
+/// The poses where programs write them, seen from the folder `base`.
+fn in_known_places(entries: &[Entry], base: &str) -> Vec<Set> {
+    let models = { MODELS.iter() }.flat_map(|folder| models_in(entries, base, folder));
+    models.chain(files_in(entries, base)).collect()
+}
+
+/// The poses in any folder.
+fn anywhere(entries: &[Entry]) -> Vec<Set> {
+    let sets = { entries.iter() }.filter(|e| !e.path.lies_in(&NO_POSES));
+    let folders: BTreeSet<&str> = sets.map(|entry| entry.path.folder()).collect();
+    let sets = folders.iter().flat_map(|folder| {
+        let models = models_in(entries, folder, "");
+        models.into_iter().chain(files_in(entries, folder))
+    });
+    sets.collect()
+}
+
+/// The files of poses of NeRF and LLFF in a folder.
+fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let at = |name: &str| {
-        let path = PhotoPath::new(name).inside(base);
+        let path = PhotoPath::new(name).inside(folder);
         let mut all = entries.iter();
         all.find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str()))
             .cloned()
@@ -42,32 +167,26 @@ pub(super) fn find(
         "transforms_val.json",
         "transforms_test.json",
     ];
-    for names in [&["transforms.json"][..], &splits[..]] {
-        let found: Vec<Entry> = names.iter().filter_map(|name| at(name)).collect();
-        if let Some(first) = found.first() {
-            return Some((GivenPosesFile::Transforms(first.file.clone()), found));
-        }
-    }
-    let bounds = at("poses_bounds.npy")?;
-    Some((
-        GivenPosesFile::PosesBounds(bounds.file.clone()),
-        vec![bounds],
-    ))
-}
-
-/// A COLMAP model of the capture.
-struct Model {
-    /// The folder's path inside the capture.
-    path: String,
-    /// Where that lies.
-    folder: PathBuf,
-    files: Vec<Entry>,
+    let files = [&["transforms.json"][..], &splits, &["poses_bounds.npy"]];
+    let sets = files.iter().filter_map(|names| {
+        let files: Vec<Entry> = names.iter().filter_map(|name| at(name)).collect();
+        let first = files.first()?;
+        let file = first.file.clone();
+        let given = match names[0] {
+            "poses_bounds.npy" => GivenPosesFile::PosesBounds(file),
+            _ => GivenPosesFile::Transforms(file),
+        };
+        let name = first.path.to_string();
+        Some(Set { name, given, files })
+    });
+    sets.collect()
 }
 
 /// The models in a folder, binary ones before those of text. One without points is one too: they
 /// can be triangulated.
-fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Model> {
-    let mut models: Vec<Model> = Vec::new();
+fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Set> {
+    let mut paths: Vec<&str> = Vec::new();
+    let mut models = Vec::new();
     for extension in ["bin", "txt"] {
         let is_part = |e: &Entry, part: &str| {
             e.path
@@ -81,9 +200,7 @@ fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Model> {
             };
             let (parent, _) = path.folder().rsplit_once('/').unwrap_or_default();
             let is_inside = !folder.is_empty() && parent.eq_ignore_ascii_case(folder);
-            if !(is_inside || path.folder().eq_ignore_ascii_case(folder))
-                || models.iter().any(|model| model.path == own)
-            {
+            if !(is_inside || path.folder().eq_ignore_ascii_case(folder)) || paths.contains(&own) {
                 continue;
             }
             let part = |name: &str| {
@@ -95,43 +212,17 @@ fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Model> {
             };
             let files = [Some(cameras), Some(images), part("points3d")];
             let lies_in = cameras.file.parent();
-            models.push(Model {
-                path: own.to_owned(),
-                folder: lies_in.map(ToOwned::to_owned).unwrap_or_default(),
+            let lies_in = lies_in.map(ToOwned::to_owned).unwrap_or_default();
+            paths.push(own);
+            models.push(Set {
+                name: match own {
+                    "" => "the capture's own folder".to_owned(),
+                    own => own.to_owned(),
+                },
+                given: GivenPosesFile::ColmapModel(lies_in),
                 files: files.into_iter().flatten().cloned().collect(),
             });
         }
     }
     models
-}
-
-/// The model with the poses of most photographs; of equal ones the first.
-fn largest(models: &[Model], photographs: &[Entry], warnings: &mut Vec<CaptureWarning>) -> usize {
-    let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
-    let posed = |model: &Model| {
-        let (read, _) = SparseModel::read_usable(&model.folder).ok()?;
-        let names = read.images.iter().map(|image| PhotoPath::new(&image.name));
-        let found = find_each(&names.collect::<Vec<_>>(), &photographs).ok()?;
-        Some(found.iter().flatten().count())
-    };
-    let counts: Vec<Option<usize>> = models.iter().map(posed).collect();
-    let most = counts.iter().max().copied().flatten();
-    let first = counts.iter().position(|count| *count == most).unwrap_or(0);
-    let name = |model: &Model| match &*model.path {
-        "" => "that beside the photographs".to_owned(),
-        path => path.to_owned(),
-    };
-    let told = |(model, count): (&Model, &Option<usize>)| match count {
-        Some(count) => format!("{} {count}", name(model)),
-        None => format!("{} cannot be read", name(model)),
-    };
-    let all: Vec<String> = models.iter().zip(&counts).map(told).collect();
-    let message = format!(
-        "of {} COLMAP models {} is taken; photographs with a pose: {}",
-        models.len(),
-        name(&models[first]),
-        all.join(", ")
-    );
-    warnings.push(CaptureWarning::new("models", message));
-    first
 }

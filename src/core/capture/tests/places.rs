@@ -160,7 +160,11 @@ fn pictures_that_are_not_read_are_told() {
     let cover = photographs(&["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg", "cover.jpg"]);
     let (paths, told) = read(&cover);
     assert_eq!(paths, ["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg"]);
-    assert!(told[0].contains("own folder (1 picture)"), "{told:?}");
+    assert_eq!(
+        told[0],
+        "photographs are read from a walk/ (3 pictures); not from the capture's own folder (1 \
+         picture): move them there if they belong to it"
+    );
 }
 
 #[test]
@@ -266,6 +270,55 @@ fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
 }
 
 #[test]
+fn scenes_with_poses_of_their_own_are_not_one() {
+    for (scenes, poses) in [
+        (["a/images", "b/images"], "transforms.json"),
+        (
+            ["tandt/train/images", "tandt/truck/images"],
+            "../sparse/0/images.bin",
+        ),
+        (["garden", "kitchen"], "transforms.json"),
+    ] {
+        let mut files = Vec::new();
+        for (number, scene) in scenes.iter().enumerate() {
+            files.extend((0..3).map(|i| (format!("{scene}/{i}.jpg"), jpeg(3 * number + i))));
+            let file = PhotoPath::new(&format!("{scene}/{poses}")).to_string();
+            files.push((file, b"x".to_vec()));
+        }
+        both(&files, |opened| {
+            let error = opened.expect_err("several scenes");
+            assert!(matches!(error, CaptureError::Scattered { .. }), "{error}");
+        });
+    }
+}
+
+#[test]
+fn a_few_pictures_in_images_are_no_photographs_where_there_are_others() {
+    for (others, told) in [
+        ("photos/", "photos/ (3"),
+        ("", "own folder (3"),
+        ("a/", "a/ (3"),
+    ] {
+        let paths = ["0.jpg", "1.jpg", "2.jpg"].map(|name| format!("{others}{name}"));
+        let mut files = photographs(&paths.each_ref().map(String::as_str));
+        files.push(("images/logo.jpg".to_owned(), jpeg(9)));
+        if others == "a/" {
+            both(&files, |opened| {
+                let error = opened.expect_err("scattered").to_string();
+                assert!(error.contains("a/ (3 pictures) and images/ (1"), "{error}");
+            });
+            continue;
+        }
+        let (found, warnings) = read(&files);
+        assert_eq!(found, ["0.jpg", "1.jpg", "2.jpg"]);
+        assert!(
+            warnings[0].contains(told) && warnings[0].contains("not from images/ (1 picture)"),
+            "{warnings:?}"
+        );
+    }
+}
+
+#[test]
 fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
     let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     let traces = [
@@ -367,6 +420,27 @@ fn of_equal_pictures_the_original_is_kept_and_not_its_copy() {
             .find(|a| a.name == "1 copy.jpg")
             .expect("listed");
         assert_eq!(copy.reason.as_deref(), Some("the same picture as 1.jpg"));
+    });
+}
+
+#[test]
+fn what_trainers_write_is_no_ground_truth() {
+    let bright = |seed| {
+        picture(seed, 96, 64)
+            .encode(EncodeFormat::Png)
+            .expect("encoded")
+    };
+    let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
+    files.push(("output/test/ours_30000/gt/0.png".to_owned(), bright(9)));
+    both(&files, |opened| {
+        let capture = opened.expect("a capture");
+        assert!(capture.views.iter().all(|view| view.gt.is_none()));
+    });
+    files.push(("gt/1.png".to_owned(), bright(9)));
+    both(&files, |opened| {
+        let capture = opened.expect("a capture");
+        let has: Vec<bool> = capture.views.iter().map(|view| view.gt.is_some()).collect();
+        assert_eq!(has, [false, true, false]);
     });
 }
 

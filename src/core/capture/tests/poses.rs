@@ -58,7 +58,7 @@ fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
             capture.poses
         );
         let said = |warning: &CaptureWarning| {
-            warning.code == "models" && warning.message.contains(&format!("models {taken} is"))
+            warning.code == "models" && warning.message.contains(&format!("of {taken} are taken"))
         };
         assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
     }
@@ -139,4 +139,144 @@ fn low_light_sets_have_their_photographs_in_low_and_the_truth_in_high() {
         capture.fingerprint,
         "the test split counts, too"
     );
+}
+
+#[test]
+fn poses_in_other_folders_are_taken_and_named() {
+    let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
+    for folder in [
+        "colmap_text",
+        "images",
+        "dslr_calibration",
+        "export/model/0",
+    ] {
+        let (cameras, images) = (
+            format!("{folder}/Cameras.txt"),
+            format!("{folder}/images.txt"),
+        );
+        let capture = with(&[(&cameras, CAMERAS.to_vec()), (&images, model(&all))]);
+        assert!(model_of(&capture).ends_with(folder), "{:?}", capture.poses);
+        let said = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
+        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    }
+    let transforms = transforms(&all.map(|name| format!("../images/{name}")));
+    let capture = with(&[("nerf/transforms.json", transforms)]);
+    assert!(matches!(
+        &capture.poses,
+        Some(GivenPosesFile::Transforms(file)) if file.ends_with("nerf/transforms.json")
+    ));
+}
+
+/// A `transforms.json` of photographs of these names.
+fn transforms(names: &[String]) -> Vec<u8> {
+    let one = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+    let frame = |name| serde_json::json!({ "file_path": name, "transform_matrix": one });
+    let frames: Vec<_> = names.iter().map(frame).collect();
+    let file = serde_json::json!({ "w": 96, "h": 64, "fl_x": 80, "frames": frames });
+    file.to_string().into_bytes()
+}
+
+#[test]
+fn poses_that_are_not_used_are_told() {
+    for (files, told) in [
+        (
+            vec![("sparse/0/images.txt", model(&["a.jpg"]))],
+            "no poses are read from sparse/0/images.txt: a COLMAP model is `cameras` and `images`",
+        ),
+        (
+            vec![
+                ("undistorted/cameras.txt", CAMERAS.to_vec()),
+                (
+                    "undistorted/images.txt",
+                    model(&["a.png", "b.png", "c.png"]),
+                ),
+                ("undistorted/a.png", jpeg(7)),
+                ("undistorted/b.png", jpeg(8)),
+                ("undistorted/c.png", jpeg(9)),
+            ],
+            "poses beside other pictures are those of them",
+        ),
+        (
+            vec![
+                ("old/cameras.txt", CAMERAS.to_vec()),
+                ("old/images.txt", model(&["u.jpg", "v.jpg", "w.jpg"])),
+                ("other/transforms.json", b"{".to_vec()),
+            ],
+            "old 0, other/transforms.json cannot be read",
+        ),
+    ] {
+        let capture = with(&files);
+        assert_eq!(capture.poses, None);
+        let said = |w: &CaptureWarning| w.code == "poses_unused" && w.message.contains(told);
+        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    }
+}
+
+#[test]
+fn the_poses_of_most_photographs_are_taken_whatever_their_format() {
+    let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
+    let capture = with(&[
+        ("sparse/0/cameras.txt", CAMERAS.to_vec()),
+        ("sparse/0/images.txt", model(&all[..3])),
+        (
+            "transforms.json",
+            transforms(&all.map(|name| format!("images/{name}"))),
+        ),
+    ]);
+    assert!(matches!(capture.poses, Some(GivenPosesFile::Transforms(_))));
+    let said = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
+    assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+}
+
+#[test]
+fn poses_beside_the_photographs_win_over_those_of_other_pictures() {
+    let names = ["a.jpg", "b.jpg", "c.jpg"];
+    let mut files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
+        .map(|(name, seed)| (format!("dense/images/{name}"), jpeg(seed)))
+        .collect();
+    for folder in ["sparse/0", "dense/sparse"] {
+        files.push((format!("{folder}/cameras.txt"), CAMERAS.to_vec()));
+        files.push((format!("{folder}/images.txt"), model(&names)));
+    }
+    let files: Vec<_> = { files.iter() }
+        .map(|(name, bytes)| (&**name, bytes.clone()))
+        .collect();
+    let capture = open_folder(&files).expect("a capture");
+    assert!(
+        model_of(&capture).ends_with("dense/sparse"),
+        "{:?}",
+        capture.poses
+    );
+}
+
+#[test]
+fn the_pictures_that_poses_name_are_read_and_not_others_of_their_names() {
+    let names = ["a.jpg", "b.jpg", "c.jpg"];
+    let files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
+        .flat_map(|(name, seed)| {
+            let images = (format!("images/{name}"), jpeg(seed));
+            let copies = (format!("images_2/{name}"), jpeg(seed + 20));
+            [images, copies, (format!("dark/{name}"), jpeg(seed + 10))]
+        })
+        .collect();
+    let read_from = |folder: &str, name: &dyn Fn(&str) -> String| {
+        let mut files = files.clone();
+        files.push(("transforms.json".to_owned(), transforms(&names.map(name))));
+        let files: Vec<_> = { files.iter() }
+            .map(|(name, b)| (&**name, b.clone()))
+            .collect();
+        let capture = open_folder(&files).expect("a capture");
+        let paths: Vec<&str> = capture.photographs.iter().map(PhotoPath::as_str).collect();
+        assert_eq!(paths, names, "{folder}");
+        let lies = |view: &CaptureView| view.file.parent().is_some_and(|f| f.ends_with(folder));
+        assert!(
+            capture.views.iter().all(lies),
+            "{folder}: {:?}",
+            capture.views
+        );
+    };
+    read_from("dark", &|name| format!("./dark/{name}"));
+    read_from("images", &|name| format!("images/{name}"));
+    read_from("images", &|name| format!("images_2/{name}"));
+    read_from("images", &|name| name.to_owned());
 }
