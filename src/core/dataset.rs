@@ -319,9 +319,15 @@ impl GivenPoses {
     fn assign(&self, given: Assignment) -> Result<Vec<Option<GivenView>>, PosesError> {
         match given {
             Assignment::ByPath(mut views) => {
-                // A frame that is written twice says nothing else.
+                // A frame that is written twice says nothing else; one of two splits trains.
                 views.sort_by(|a, b| a.0.cmp(&b.0));
-                views.dedup();
+                views.dedup_by(|again, first| {
+                    let is_same = again.0 == first.0 && trained(again.1) == trained(first.1);
+                    if let (true, Some(first), Some(again)) = (is_same, &mut first.1, again.1) {
+                        first.held_out &= again.held_out;
+                    }
+                    is_same
+                });
                 let (names, views): (Vec<_>, Vec<_>) = views.into_iter().unzip();
                 let found = find_each(&names, &self.photographs);
                 let label = self.label();
@@ -380,6 +386,12 @@ impl GivenPoses {
             sink.warn("poses_order", message);
         }
     }
+}
+
+/// The view, as if it trains.
+fn trained(view: Option<GivenView>) -> Option<GivenView> {
+    let held_out = false;
+    view.map(|view| GivenView { held_out, ..view })
 }
 
 /// Indices of paths in the order in which Python sorts them.

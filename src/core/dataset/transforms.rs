@@ -146,17 +146,38 @@ impl Transforms {
 
 /// The `file_path`s that nerfstudio's lists keep from training.
 fn held_out(content: &Object) -> HashSet<&str> {
-    let lists = ["test_filenames", "val_filenames"];
-    let names = lists.iter().filter_map(|key| content.get(*key)?.as_array());
-    names.flatten().filter_map(Value::as_str).collect()
+    let list = |key: &str| -> HashSet<&str> {
+        let names = content.get(key).and_then(Value::as_array);
+        names
+            .into_iter()
+            .flatten()
+            .filter_map(Value::as_str)
+            .collect()
+    };
+    let mut names = list("test_filenames");
+    names.extend(list("val_filenames"));
+    let trained = list("train_filenames");
+    names.retain(|name| !trained.contains(name));
+    names
+}
+
+/// What of the camera's axes points away from OpenCV's. OpenGL's go up and backward; instant-ngp
+/// and NeuS2 mark files with those of OpenCV and of Mitsuba, which go left and up.
+fn flip(fields: &Fields<'_>) -> DVec3 {
+    if fields.is_set("from_na") {
+        DVec3::ONE
+    } else if fields.is_set("from_mitsuba") || fields.is_set("normal_mts_args") {
+        DVec3::new(-1.0, -1.0, 1.0)
+    } else {
+        DVec3::new(1.0, -1.0, -1.0)
+    }
 }
 
 fn view(fields: &Fields<'_>) -> Result<(GivenView, Rotation), String> {
     let lens = optics::lens(fields)?;
     let (rotation, centre) = pose(fields)?;
     let camera_to_world = DMat4::from_mat3_translation(rotation.matrix, centre);
-    // OpenGL's axes of the camera are OpenCV's but for up and backward.
-    let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+    let flip = DMat4::from_scale(flip(fields));
     let view = GivenView {
         lens,
         world_to_camera: (camera_to_world * flip).inverse(),
@@ -184,9 +205,9 @@ fn pose(fields: &Fields<'_>) -> Result<(Rotation, DVec3), String> {
     if let Some(&[x, y, z, w]) = rows.get(3)
         && [x, y, z, w - 1.0].iter().any(|v| v.abs() > 1e-3)
     {
-        return Err(of(&format!(
-            "has {x} {y} {z} {w} as its last row and not 0 0 0 1: is it written by columns?"
-        )));
+        return Err(of(
+            "has another last row than 0 0 0 1: is it written by columns?",
+        ));
     }
     let axes = DMat3::from_cols_array_2d(&[0, 1, 2].map(|c| [rows[0][c], rows[1][c], rows[2][c]]));
     let rotation = rotation(axes).map_err(|what| of(&what))?;

@@ -183,6 +183,16 @@ fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
         ),
         (json!({ "camera_model": "ORTHOPHOTO" }), "ORTHOPHOTO"),
         (json!({ "ftheta_p0": 1.0 }), "ftheta_p0"),
+        (json!({ "latlong": true }), "`latlong`"),
+        (json!({ "equirectangular": true }), "`equirectangular`"),
+        (
+            json!({ "fl_x": null, "camera_angle_x": 60.0 }),
+            "`camera_angle_x` is 60, but must be in radians",
+        ),
+        (
+            json!({ "distortion_params": [0.1, 0.0] }),
+            "`distortion_params`",
+        ),
         (json!({ "k5": 0.1 }), "`k5`"),
         (json!({ "h": null }), "`w` without `h`"),
     ] {
@@ -327,6 +337,8 @@ fn angles_are_of_width_and_height() {
         (35.0, 36.0),
     );
     near(focal(json!({ "camera_angle_y": y })), (36.0, 36.0));
+    let degrees = json!({ "x_fov": x.to_degrees(), "y_fov": y.to_degrees() });
+    near(focal(degrees), (35.0, 36.0));
     near(focal(json!({ "fl_y": 72.0 })), (36.0, 36.0));
 }
 
@@ -348,6 +360,95 @@ fn files_of_splits_are_read_together_and_the_test_is_held_out() {
     assert_eq!(poses.held_out, ["photo0", "photo3"]);
     let (poses, _) = capture.of_json(|json| json["test_filenames"] = json!(["images/photo1.png"]));
     assert_eq!(poses.unwrap().held_out, ["photo1"]);
+    let (poses, _) = capture.of_json(|json| {
+        json["val_filenames"] = json!(["images/photo1.png", "images/photo2.png"]);
+        json["train_filenames"] = json!(["images/photo0.png", "images/photo2.png"]);
+    });
+    assert_eq!(poses.unwrap().held_out, ["photo1"]);
+}
+
+#[test]
+fn a_frame_of_two_splits_trains() {
+    let capture = capture();
+    let all = transforms(&capture, |_| ()).to_string();
+    for split in ["val", "test"] {
+        let file = capture.dir.path().join(format!("transforms_{split}.json"));
+        std::fs::write(file, &all).unwrap();
+    }
+    let (poses, warnings) = capture.of("transforms_train.json", &all);
+    assert_eq!(poses.as_ref().unwrap().held_out, [""; 0]);
+    capture.assert_plain((poses, warnings));
+}
+
+#[test]
+fn pixels_of_the_file_grow_with_a_frame_of_another_size() {
+    let capture = capture();
+    capture.assert_plain(capture.of_json(|json| {
+        json["cx"] = json!(40.0);
+        json["cy"] = json!(30.0);
+        let frames = json["frames"].as_array_mut().unwrap();
+        (frames[1]["w"], frames[1]["h"]) = (json!(160), json!(120));
+        (frames[2]["w"], frames[2]["h"]) = (json!(160), json!(120));
+        (frames[2]["fl_x"], frames[2]["cx"]) = (json!(140.0), json!(80.0));
+    }));
+}
+
+#[test]
+fn files_of_instant_ngp_and_neus2_may_have_the_axes_of_mitsuba_or_opencv() {
+    let capture = capture();
+    for (key, value, signs) in [
+        ("from_na", json!(true), [1.0, -1.0, -1.0]),
+        ("from_na", json!(false), [1.0, 1.0, 1.0]),
+        ("from_mitsuba", json!(true), [-1.0, 1.0, -1.0]),
+        ("normal_mts_args", json!({ "spp": 16 }), [-1.0, 1.0, -1.0]),
+    ] {
+        capture.assert_plain(capture.of_json(|json| {
+            json[key] = value.clone();
+            for frame in json["frames"].as_array_mut().unwrap() {
+                for (row, column) in (0..9).map(|i| (i / 3, i % 3)) {
+                    let cell = &mut frame["transform_matrix"][row][column];
+                    *cell = json!(signs[column] * cell.as_f64().unwrap());
+                }
+            }
+        }));
+    }
+}
+
+#[test]
+fn the_matrix_of_neus2_tells_focal_lengths_and_principal_point() {
+    let capture = capture();
+    let matrix = json!([
+        [70.0, 0.0, 40.0, 0.0],
+        [0.0, 70.0, 30.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0]
+    ]);
+    let with = |matrix: &Value| {
+        capture.of_json(|json| {
+            json.as_object_mut().unwrap().remove("fl_x");
+            for frame in json["frames"].as_array_mut().unwrap() {
+                frame["intrinsic_matrix"] = matrix.clone();
+            }
+        })
+    };
+    capture.assert_plain(with(&matrix));
+    let message = with(&json!([70.0, 70.0])).0.unwrap_err().to_string();
+    assert!(message.contains("`intrinsic_matrix`"), "{message}");
+}
+
+#[test]
+fn nerfstudios_list_of_terms_is_that_of_their_names() {
+    let capture = capture();
+    let distortion = |edit: Value| {
+        let (poses, _) = capture.of_json(|json| {
+            json["camera_model"] = json!("OPENCV");
+            let fields = edit.as_object().unwrap().clone();
+            json.as_object_mut().unwrap().extend(fields);
+        });
+        poses.unwrap().views[1].lens.distortion
+    };
+    let named = json!({ "k1": -0.1, "k2": 0.02, "k3": 0.003, "p1": 0.001, "p2": -0.002 });
+    let list = json!({ "distortion_params": [-0.1, 0.02, 0.003, 0.0, 0.001, -0.002] });
+    assert_eq!(distortion(list), distortion(named));
 }
 
 #[test]

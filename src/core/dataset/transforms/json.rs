@@ -116,10 +116,15 @@ impl<'a> Fields<'a> {
         self.own(key).or_else(|| self.shared(key))
     }
 
+    /// Whether the frame itself has one of `keys`.
+    pub(super) fn has_own(&self, keys: &[&str]) -> bool {
+        keys.iter().any(|key| self.own(key).is_some())
+    }
+
     /// The fields of the frame alone where it has one of `keys`, else those of the file: what
     /// belongs together is not mixed.
     pub(super) fn together(&self, keys: &[&str]) -> Self {
-        let object = match keys.iter().any(|key| self.own(key).is_some()) {
+        let object = match self.has_own(keys) {
             true => self.own,
             false => self.shared,
         };
@@ -129,6 +134,11 @@ impl<'a> Fields<'a> {
     /// The fields of the file alone.
     pub(super) fn of_file(&self) -> Self {
         Self::new(self.shared, self.shared)
+    }
+
+    /// Whether a field is told and not `false`.
+    pub(super) fn is_set(&self, key: &str) -> bool {
+        !matches!(self.get(key), None | Some(Value::Bool(false)))
     }
 
     /// A finite number.

@@ -4,15 +4,31 @@ use std::f64::consts::PI;
 
 use serde_json::Value;
 
-use super::json::Fields;
+use super::json::{self, Fields};
 use crate::dataset::given_view::{Focal, GivenLens};
 use crate::poses::Distortion;
 
 /// Fields that tell the focal length.
-const FOCAL: [&str; 4] = ["fl_x", "fl_y", "camera_angle_x", "camera_angle_y"];
+const FOCAL: [&str; 6] = [
+    "fl_x",
+    "fl_y",
+    "camera_angle_x",
+    "camera_angle_y",
+    "x_fov",
+    "y_fov",
+];
 
 /// Fields that tell the distortion.
 const TERMS: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
+
+/// nerfstudio's list of k1, k2, k3, k4, p1, p2 in their stead.
+const LIST: &str = "distortion_params";
+
+/// Fields by which instant-ngp tells lenses that are not read.
+const UNREAD: [&str; 4] = ["ftheta_p0", "ftheta_p1", "latlong", "equirectangular"];
+
+/// What is to be done about a lens that is not read.
+const INSTEAD: &str = "make pictures of PINHOLE, OPENCV or OPENCV_FISHEYE";
 
 /// How a lens maps directions.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -31,45 +47,94 @@ enum Projection {
 /// Which field is wrong, and how.
 pub(super) fn lens(fields: &Fields<'_>) -> Result<GivenLens, String> {
     let distortion = distortion(fields)?;
-    let focal = focal(&fields.together(&FOCAL))?;
-    let centre = [fields.number("cx")?, fields.number("cy")?];
-    match (fields.number("w")?, fields.number("h")?) {
-        (Some(width), Some(height)) => {
-            if !(width >= 1.0 && height >= 1.0 && width.max(height) < 1e6) {
-                return Err(format!("`w` and `h` are {width} and {height}"));
-            }
-            let size = (width.round() as usize, height.round() as usize);
-            let unsized_lens = GivenLens::OfPhotograph {
-                focal,
-                centre,
-                distortion,
+    let size = size(fields)?;
+    let growth = growth(fields, size);
+    let centre = |key: &str, axis: usize| match fields.own(key) {
+        Some(_) => fields.number(key),
+        None => Ok(fields.number(key)?.zip(growth).map(|(c, g)| c * g[axis])),
+    };
+    let (focal, centre) = match matrix(fields)? {
+        Some([fx, fy, cx, cy]) => (Focal::Pixels([fx, fy]), [Some(cx), Some(cy)]),
+        None => {
+            let focal = match (focal(&fields.together(&FOCAL))?, growth) {
+                (Focal::Pixels([x, y]), Some([wider, higher])) if !fields.has_own(&FOCAL) => {
+                    Focal::Pixels([x * wider, y * higher])
+                }
+                (focal, _) => focal,
             };
-            Ok(unsized_lens.at(size.0, size.1).into())
+            (focal, [centre("cx", 0)?, centre("cy", 1)?])
         }
-        (None, None) => Ok(GivenLens::OfPhotograph {
-            focal,
-            centre,
-            distortion,
-        }),
+    };
+    let of_photograph = GivenLens::OfPhotograph {
+        focal,
+        centre,
+        distortion,
+    };
+    Ok(match size {
+        Some([width, height]) => of_photograph
+            .at(width.round() as usize, height.round() as usize)
+            .into(),
+        None => of_photograph,
+    })
+}
+
+/// Focal lengths and principal point of NeuS2's matrix.
+fn matrix(fields: &Fields<'_>) -> Result<Option<[f64; 4]>, String> {
+    let key = "intrinsic_matrix";
+    let Some(rows) = fields.get(key) else {
+        return Ok(None);
+    };
+    let cell = |row: usize, column: usize| json::number(rows.get(row)?.get(column)?);
+    let cells = [cell(0, 0), cell(1, 1), cell(0, 2), cell(1, 2)];
+    match cells.map(|cell| cell.filter(|number| number.is_finite())) {
+        [Some(fx), Some(fy), Some(cx), Some(cy)] if fx > 0.0 && fy > 0.0 => {
+            Ok(Some([fx, fy, cx, cy]))
+        }
+        _ => Err(format!("`{key}` is not of rows fx 0 cx, 0 fy cy, 0 0 1")),
+    }
+}
+
+/// Width and height, px, where they are told.
+fn size(fields: &Fields<'_>) -> Result<Option<[f64; 2]>, String> {
+    match (fields.number("w")?, fields.number("h")?) {
+        (Some(width), Some(height)) if width >= 1.0 && height >= 1.0 && width.max(height) < 1e6 => {
+            Ok(Some([width, height]))
+        }
+        (Some(width), Some(height)) => Err(format!("`w` and `h` are {width} and {height}")),
+        (None, None) => Ok(None),
         (Some(_), None) => Err("`w` without `h`".to_owned()),
         (None, Some(_)) => Err("`h` without `w`".to_owned()),
     }
 }
 
+/// By how much a frame's picture is larger than those that the file's pixels are of; `None` where
+/// it is of another shape.
+fn growth(fields: &Fields<'_>, size: Option<[f64; 2]>) -> Option<[f64; 2]> {
+    let (Some([width, height]), Ok(Some([w, h]))) = (size, self::size(&fields.of_file())) else {
+        return Some([1.0; 2]);
+    };
+    let growth = [width / w, height / h];
+    ((growth[0] / growth[1] - 1.0).abs() < 0.01).then_some(growth)
+}
+
 fn focal(fields: &Fields<'_>) -> Result<Focal, String> {
-    let positive = |key: &str, below: f64| match fields.number(key)? {
-        Some(value) if !(value > 0.0 && value < below) => Err(format!("`{key}` is {value}")),
+    let positive = |key: &str, below: f64, unit: &str| match fields.number(key)? {
+        Some(value) if !(value > 0.0 && value < below) => {
+            Err(format!("`{key}` is {value}, but must be {unit}"))
+        }
         value => Ok(value),
     };
-    let pixels = (
-        positive("fl_x", f64::INFINITY)?,
-        positive("fl_y", f64::INFINITY)?,
-    );
+    let pixels = |key| positive(key, f64::INFINITY, "a number of pixels above 0");
+    let angle = |radians, degrees| {
+        let told = positive(radians, PI, "in radians, between 0 and pi")?;
+        let in_degrees = positive(degrees, 180.0, "in degrees, between 0 and 180")?;
+        Ok::<_, String>(told.or(in_degrees.map(f64::to_radians)))
+    };
     let angles = (
-        positive("camera_angle_x", PI)?,
-        positive("camera_angle_y", PI)?,
+        angle("camera_angle_x", "x_fov")?,
+        angle("camera_angle_y", "y_fov")?,
     );
-    match (pixels, angles) {
+    match ((pixels("fl_x")?, pixels("fl_y")?), angles) {
         ((Some(fx), fy), _) => Ok(Focal::Pixels([fx, fy.unwrap_or(fx)])),
         ((None, Some(fy)), _) => Ok(Focal::Pixels([fy, fy])),
         (_, (None, None)) => Err("neither `fl_x` nor `camera_angle_x` is told".to_owned()),
@@ -79,11 +144,10 @@ fn focal(fields: &Fields<'_>) -> Result<Focal, String> {
 
 /// The projection of a frame, by its own `camera_model` or else the file's.
 fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
-    if let Some(key) = ["ftheta_p0", "ftheta_p1"]
-        .iter()
-        .find(|key| fields.get(key).is_some())
-    {
-        return Err(format!("`{key}`: f-theta lenses are not read"));
+    if let Some(key) = UNREAD.iter().find(|key| fields.is_set(key)) {
+        return Err(format!(
+            "`{key}` is of a lens that is not read: {INSTEAD} of it"
+        ));
     }
     let model = fields.get("camera_model");
     let name = model.map_or(Some(""), Value::as_str).unwrap_or("?");
@@ -96,28 +160,39 @@ fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
             Ok(Projection::Fisheye)
         }
         _ => Err(format!(
-            "`camera_model` is {name}, which is not read: make pictures of PINHOLE, OPENCV or \
-             OPENCV_FISHEYE of it"
+            "`camera_model` is {name}, which is not read: {INSTEAD} of it"
         )),
     }
 }
 
-/// The terms of a frame: its own together, or else the file's if they are of the same projection.
-fn terms<'a>(fields: &Fields<'a>, projection: Projection) -> Option<Fields<'a>> {
-    let own = fields.together(&TERMS);
-    let is_own = TERMS.iter().any(|key| fields.own(key).is_some());
+/// The terms of a frame in the order of [`TERMS`]: its own together, or else the file's if they are
+/// of the same projection.
+fn terms(fields: &Fields<'_>, projection: Projection) -> Result<[f64; 8], String> {
+    let keys = [&TERMS[..], &[LIST]].concat();
     let of_file = fields.of_file();
     let is_same = || self::projection(&of_file).is_ok_and(|shared| shared == projection);
-    (is_own || is_same()).then_some(own)
+    if !fields.has_own(&keys) && !is_same() {
+        return Ok([0.0; 8]);
+    }
+    let fields = fields.together(&keys);
+    let Some(list) = fields.get(LIST) else {
+        return fields.numbers(TERMS);
+    };
+    let numbers = |list: &Vec<Value>| -> Option<Vec<f64>> {
+        let finite = |value| json::number(value).filter(|number| number.is_finite());
+        list.iter().map(finite).collect()
+    };
+    match list.as_array().and_then(numbers).as_deref() {
+        Some(&[k1, k2, k3, k4, p1, p2]) => Ok([k1, k2, k3, k4, 0.0, 0.0, p1, p2]),
+        _ => Err(format!(
+            "`{LIST}` is not of 6 numbers: k1, k2, k3, k4, p1, p2"
+        )),
+    }
 }
 
 fn distortion(fields: &Fields<'_>) -> Result<Distortion, String> {
     let projection = projection(fields)?;
-    let terms = match terms(fields, projection) {
-        Some(terms) => terms.numbers(TERMS)?,
-        None => [0.0; 8],
-    };
-    let [k1, k2, k3, k4, k5, k6, p1, p2] = terms;
+    let [k1, k2, k3, k4, k5, k6, p1, p2] = terms(fields, projection)?;
     if projection != Projection::Rational && (k5 != 0.0 || k6 != 0.0) {
         return Err("`k5` and `k6` are read with `camera_model` FULL_OPENCV only".to_owned());
     }
