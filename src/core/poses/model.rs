@@ -29,7 +29,7 @@ impl SparseModel {
         }
     }
 
-    /// As [`Self::read`], without the rows whose numbers cannot be used, by name.
+    /// As [`Self::read`], without the rows whose numbers or cameras cannot be used, by name.
     ///
     /// # Errors
     /// Those of [`Self::read`] for all else.

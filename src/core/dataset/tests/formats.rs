@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::super::*;
 use super::{Capture, capture, flipped, told};
 use crate::poses::Distortion;
-use crate::poses::model::{ModelCamera, ModelImage};
+use crate::poses::model::ModelImage;
 
 /// A `transforms.json` of the capture's cameras, changed by `edit`.
 fn transforms(capture: &Capture, edit: impl Fn(&mut Value)) -> Value {
@@ -563,30 +563,17 @@ fn what_stands_where_key_points_are_expected_is_said() {
 }
 
 #[test]
-fn models_that_are_not_read_are_named_in_text_and_binary() {
+fn equidistant_fisheyes_of_newer_versions_are_read() {
     let capture = capture();
-    let text = "1 FOV 80 60 70 70 40 30 0.9\n";
-    let message = capture.of_model(text, "").0.unwrap_err().to_string();
-    assert!(
-        message.contains("FOV") && message.contains("image_undistorter"),
-        "{message}"
-    );
-    let folder = capture.dir.path().join("binary");
-    let camera = ModelCamera::pinhole(1, &capture.cameras[0].intrinsics);
-    let model = SparseModel {
-        cameras: vec![camera],
-        ..SparseModel::default()
-    };
-    model.write_binary(&folder).unwrap();
-    let file = folder.join("cameras.bin");
-    let mut bytes = std::fs::read(&file).unwrap();
-    bytes[12] = 10;
-    std::fs::write(&file, bytes).unwrap();
-    let message = told(&folder, &capture.views, capture.dir.path())
-        .0
-        .unwrap_err()
-        .to_string();
-    assert!(message.contains("THIN_PRISM_FISHEYE"), "{message}");
+    for camera in [
+        "1 SIMPLE_FISHEYE 80 60 70 40 30\n",
+        "1 FISHEYE 80 60 70 70 40 30\n",
+    ] {
+        let (poses, _) = capture.of_model(camera, &images(&capture, None, "\n"));
+        let lens = poses.unwrap().views[0].lens;
+        assert_eq!(lens.distortion, Distortion::Fisheye { radial: [0.0; 4] });
+        assert_eq!((lens.intrinsics.fx, lens.intrinsics.cy), (35.0, 15.0));
+    }
 }
 
 #[test]

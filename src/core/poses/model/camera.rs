@@ -32,11 +32,13 @@ pub enum CameraModel {
     FullOpenCv,
     SimpleRadialFisheye,
     RadialFisheye,
+    SimpleFisheye,
+    Fisheye,
 }
 
 impl CameraModel {
     /// Model, COLMAP's number and name, and its count of parameters.
-    pub(super) const NAMES: [(Self, i32, &'static str, usize); 9] = [
+    pub(super) const NAMES: [(Self, i32, &'static str, usize); 11] = [
         (Self::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
         (Self::Pinhole, 1, "PINHOLE", 4),
         (Self::SimpleRadial, 2, "SIMPLE_RADIAL", 4),
@@ -46,6 +48,18 @@ impl CameraModel {
         (Self::FullOpenCv, 6, "FULL_OPENCV", 12),
         (Self::SimpleRadialFisheye, 8, "SIMPLE_RADIAL_FISHEYE", 4),
         (Self::RadialFisheye, 9, "RADIAL_FISHEYE", 5),
+        (Self::SimpleFisheye, 14, "SIMPLE_FISHEYE", 3),
+        (Self::Fisheye, 15, "FISHEYE", 4),
+    ];
+
+    /// Number, name and count of parameters of models that are not read.
+    const UNREAD: [(i32, &'static str, u64); 6] = [
+        (7, "FOV", 5),
+        (10, "THIN_PRISM_FISHEYE", 12),
+        (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
+        (12, "SIMPLE_DIVISION", 4),
+        (13, "DIVISION", 5),
+        (16, "EUCM", 6),
     ];
 
     fn row(self) -> (Self, i32, &'static str, usize) {
@@ -64,6 +78,7 @@ impl CameraModel {
                 | M::Radial
                 | M::SimpleRadialFisheye
                 | M::RadialFisheye
+                | M::SimpleFisheye
         )
     }
 
@@ -89,12 +104,7 @@ impl CameraModel {
     /// COLMAP's name of a model that is none of these, or else its number, and its count of
     /// parameters.
     pub(super) fn unread_name(number: i32) -> (String, Option<u64>) {
-        let known = [
-            (7, "FOV", 5),
-            (10, "THIN_PRISM_FISHEYE", 12),
-            (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
-        ];
-        let known = known.iter().find(|(id, ..)| *id == number);
+        let known = Self::UNREAD.iter().find(|(id, ..)| *id == number);
         match known {
             Some((_, name, count)) => ((*name).to_owned(), Some(*count)),
             None => (number.to_string(), None),
@@ -105,7 +115,7 @@ impl CameraModel {
     pub fn from_name(name: &str) -> Option<Self> {
         Self::NAMES
             .into_iter()
-            .find(|row| row.2 == name)
+            .find(|row| row.2.eq_ignore_ascii_case(name))
             .map(|row| row.0)
     }
 
@@ -199,6 +209,7 @@ impl ModelCamera {
             M::OpenCvFisheye => fisheye([p[4], p[5], p[6], p[7]]),
             M::SimpleRadialFisheye => fisheye([p[3], 0.0, 0.0, 0.0]),
             M::RadialFisheye => fisheye([p[3], p[4], 0.0, 0.0]),
+            M::SimpleFisheye | M::Fisheye => fisheye([0.0; 4]),
         }
     }
 

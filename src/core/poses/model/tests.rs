@@ -148,17 +148,6 @@ fn a_bad_line_is_named() {
         error.contains("line 2") && error.contains("4 parameters"),
         "{error}"
     );
-    std::fs::write(
-        dir.path().join("cameras.txt"),
-        "1 FOV 640 480 500 500 320 240 1\n",
-    )
-    .unwrap();
-    assert!(
-        SparseModel::read(dir.path())
-            .unwrap_err()
-            .to_string()
-            .contains("FOV")
-    );
 }
 
 #[test]
