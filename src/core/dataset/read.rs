@@ -56,7 +56,9 @@ pub(super) fn poses_bounds(file: &Path) -> Result<(Assignment, Given), PosesErro
         }
         .into(),
         world_to_camera: row.camera.world_to_camera,
-        bounds: Some((row.near, row.far)),
+        // They only tell where points may be.
+        bounds: Some((row.near, row.far))
+            .filter(|(near, far)| *near > 0.0 && far > near && far.is_finite()),
         held_out: false,
     };
     let (mut views, mut given) = (Vec::new(), Given::default());

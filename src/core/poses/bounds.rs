@@ -23,7 +23,7 @@ const LARGEST: u64 = 64 << 20;
 pub struct BoundedCamera {
     /// The camera; one focal length, the principal point in the middle.
     pub camera: Camera,
-    /// Nearest depth, world units.
+    /// Nearest depth, world units. Not every file has depths that can be.
     pub near: f64,
     /// Farthest depth, world units.
     pub far: f64,
@@ -122,7 +122,8 @@ impl AsRef<[u8]> for Aligned {
 }
 
 fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
-    if !row.iter().all(|v| v.is_finite()) {
+    let (near, far) = (row[15], row[16]);
+    if !row[..15].iter().all(|v| v.is_finite()) {
         return Err("holds NaN or infinity".to_owned());
     }
     let column = |c: usize| DVec3::new(row[c], row[5 + c], row[10 + c]);
@@ -133,17 +134,11 @@ fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
             "has a picture of {width} x {height} px and a focal length of {focal}"
         ));
     }
-    let (near, far) = (row[15], row[16]);
-    if !(near > 0.0 && far > near) {
-        return Err(format!(
-            "has {near} and {far} as its nearest and farthest depth"
-        ));
-    }
     let axes = rotation(DMat3::from_cols(right, down, -backward));
     let axes = axes.map_err(|what| format!("has a matrix that {what}"))?;
     if axes.is_mended {
         return Err(format!(
-            "has a rotation that is scaled by {:.4} or rounded",
+            "has a rotation that is scaled by {:.4} or rounded: write its columns of length 1",
             axes.scale
         ));
     }

@@ -664,4 +664,40 @@ fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
         .unwrap_err()
         .to_string();
     assert!(message.contains("float64"), "{message}");
+    for (number, shape) in [("<f8", "(4, 3, 5)"), (">f8", "(4, 17)")] {
+        let header =
+            format!("{{'descr': '{number}', 'fortran_order': False, 'shape': {shape}, }}\n");
+        let magic = [
+            &b"\x93NUMPY\x01\0"[..],
+            &(header.len() as u16).to_le_bytes(),
+        ]
+        .concat();
+        let bytes = [&magic[..], header.as_bytes(), &[0; 8 * 4 * 17]].concat();
+        std::fs::write(&file, bytes).unwrap();
+        let (poses, _) = told(&file, &capture.views, capture.dir.path());
+        let message = poses.unwrap_err().to_string();
+        assert!(message.contains("rows of 17 numbers"), "{message}");
+        assert!(
+            !message.contains("ndim") && !message.contains("descriptor"),
+            "{message}"
+        );
+    }
+}
+
+#[test]
+fn depths_that_cannot_be_cost_no_pose() {
+    let capture = capture();
+    let file = capture.write_bounds();
+    let rows: ndarray::Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
+    for (near, far) in [
+        (0.0, 8.0),
+        (-1.0, 8.0),
+        (2.0, f64::INFINITY),
+        (f64::NAN, f64::NAN),
+    ] {
+        let mut rows = rows.clone();
+        (rows[[1, 15]], rows[[1, 16]]) = (near, far);
+        ndarray_npy::write_npy(&file, &rows).unwrap();
+        capture.assert_plain(told(&file, &capture.views, capture.dir.path()));
+    }
 }
