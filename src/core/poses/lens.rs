@@ -13,6 +13,9 @@ use crate::image::Image;
 /// Radii at which a fraction is fitted to a polynomial.
 const FRACTION_STEPS: u32 = 64;
 
+/// Steps to the border in which a fold is looked for.
+const FOLD_STEPS: u32 = 16;
+
 /// How the lens bends the normalised image plane (x/z, y/z).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "model", rename_all = "snake_case")]
@@ -85,6 +88,13 @@ impl Distortion {
                 p * (bent / r)
             }
         }
+    }
+
+    /// Whether it brings a point back towards the middle on the way from there to this one.
+    fn folds(&self, p: DVec2) -> bool {
+        let bent = |step: u32| self.distort(p * (f64::from(step) / f64::from(FOLD_STEPS)));
+        let along = (0..=FOLD_STEPS).map(|step| bent(step).dot(p));
+        p != DVec2::ZERO && !along.is_sorted_by(|nearer, farther| nearer < farther)
     }
 
     /// Whether it bends nothing.
@@ -197,15 +207,25 @@ impl Lens {
         }
     }
 
-    /// Whether the border of `pinhole`'s image falls inside the photograph.
+    /// The share of the width that [`Self::pinhole`] shows; 0 where the distortion leaves no part
+    /// of the photograph that a pinhole could show.
+    pub fn straight_share(&self) -> f64 {
+        let pinhole = self.pinhole();
+        match self.distortion.is_none() || self.covers(&pinhole) {
+            true => self.intrinsics.fx / pinhole.fx,
+            false => 0.0,
+        }
+    }
+
+    /// Whether the border of `pinhole`'s image falls inside the photograph, before a distortion
+    /// that does not hold there folds the picture back.
     fn covers(&self, pinhole: &Intrinsics) -> bool {
         let (w, h) = (pinhole.width as f64, pinhole.height as f64);
         let inside = |u: f64, v: f64| {
-            let p = self.pixel(DVec2::new(
-                (u - pinhole.cx) / pinhole.fx,
-                (v - pinhole.cy) / pinhole.fy,
-            ));
-            p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h
+            let ray = DVec2::new((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy);
+            let p = self.pixel(ray);
+            let is_inside = p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h;
+            is_inside && !self.distortion.folds(ray)
         };
         let steps = 32;
         (0..=steps)
@@ -374,6 +394,19 @@ mod tests {
                 ..pinhole
             }));
         }
+    }
+
+    #[test]
+    fn the_pinhole_ends_before_a_distortion_folds_the_picture_back() {
+        // r - 9 r^3 turns at the root of 1 / 27, and is as small again farther out.
+        let (absurd, turn) = (lens(-9.0), (1.0f64 / 27.0).sqrt());
+        let k = absurd.pinhole();
+        let corner = DVec2::new(k.cx / k.fx, k.cy / k.fy).length();
+        // It is looked for in steps.
+        let step = 1.0 / f64::from(FOLD_STEPS);
+        assert!(corner < (1.0 + step) * turn, "{corner}");
+        assert!((absurd.straight_share() - absurd.intrinsics.fx / k.fx).abs() < 1e-12);
+        assert!((lens(0.0).straight_share() - 1.0).abs() < 1e-12);
     }
 
     #[test]
