@@ -1,6 +1,7 @@
 //! Poses that come with a capture: a COLMAP model, NeRF's `transforms.json`, or LLFF's
 //! `poses_bounds.npy`.
 
+mod doubt;
 mod frusta;
 mod given_view;
 mod placed;
@@ -12,6 +13,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use doubt::doubt_of_fit;
 use given_view::GivenView;
 use placed::Placed;
 
@@ -201,7 +203,8 @@ impl GivenPoses {
         match triangulate(request, views, sink, cancel) {
             Ok(points) if points.len() >= LEAST_POINTS => Ok(Ok(points)),
             Ok(points) => Ok(Err(format!(
-                "and only {} could be triangulated",
+                "and only {} could be triangulated, as where axes or focal lengths are other than \
+                 the format has them",
                 points.len()
             ))),
             Err(PosesError::Cancelled(cancelled)) => Err(cancelled.into()),
@@ -226,6 +229,10 @@ impl GivenPoses {
         }
         for message in &given.warnings {
             sink.warn("poses_mended", format!("{file}: {message}"));
+        }
+        if !placed.doubts.is_empty() {
+            let message = format!("{file}: {}", in_words(&placed.doubts));
+            sink.warn("poses_unlikely", message);
         }
         if !placed.turned.is_empty() {
             sink.log(format!(
@@ -256,7 +263,12 @@ impl GivenPoses {
         cancel: &CancelToken,
     ) -> Result<Vec<SparsePoint>, PosesError> {
         let points = match self.triangulated(request, &near.views, sink, cancel)? {
-            Ok(points) => points,
+            Ok(points) => {
+                if let Some(doubt) = doubt_of_fit(&points) {
+                    sink.warn("poses_unlikely", format!("{}: {doubt}", self.label()));
+                }
+                points
+            }
             Err(reason) => {
                 let cameras: Vec<Camera> = near.views.iter().map(|view| view.camera).collect();
                 let scale = near.normalisation.scale;

@@ -5,13 +5,14 @@ use std::collections::HashMap;
 use glam::DMat4;
 
 use super::Given;
+use super::doubt::{doubt_of_lens, doubt_of_points, doubt_of_size};
 use super::given_view::GivenView;
 use super::upright::{Upright, upright};
 use crate::camera::Camera;
 use crate::image::read_header;
 use crate::photo_path::PhotoPath;
 use crate::poses::turn::mirror;
-use crate::poses::{LeftOut, PoseView, PosedView, PosesError};
+use crate::poses::{LeftOut, PoseView, PosedView, PosesError, SparsePoint};
 
 /// Given poses in the upright photographs' pixels.
 #[derive(Default)]
@@ -24,6 +25,8 @@ pub(super) struct Placed {
     /// do not tell that they had to be.
     pub(super) turned: Vec<String>,
     pub(super) assumed: Vec<String>,
+    /// What is taken as it is, and is unlikely to be right.
+    pub(super) doubts: Vec<LeftOut>,
 }
 
 impl Placed {
@@ -53,6 +56,9 @@ impl Placed {
             true => mirror(),
             false => DMat4::IDENTITY,
         };
+        for point in &mut given.points {
+            point.position = world.transform_point3(point.position.into()).to_array();
+        }
         let mut placed = Self::default();
         for (view, given_view, upright) in upright_views {
             if upright.turn.is_mirrored() && world == DMat4::IDENTITY {
@@ -63,15 +69,19 @@ impl Placed {
                     .push(LeftOut::new(view.path.as_str(), reason));
                 continue;
             }
-            placed.push(view, given_view, &upright, world);
-        }
-        for point in &mut given.points {
-            point.position = world.transform_point3(point.position.into()).to_array();
+            placed.push(view, given_view, &upright, world, &given.points);
         }
         Ok(placed)
     }
 
-    fn push(&mut self, view: &PoseView, given: &GivenView, upright: &Upright, world: DMat4) {
+    fn push(
+        &mut self,
+        view: &PoseView,
+        given: &GivenView,
+        upright: &Upright,
+        world: DMat4,
+        points: &[SparsePoint],
+    ) {
         if given.held_out {
             self.held_out.push(view.name.clone());
         }
@@ -81,14 +91,23 @@ impl Placed {
         if upright.is_assumed {
             self.assumed.push(view.path.to_string());
         }
-        self.bounds.push(given.bounds);
-        self.views.push(PosedView {
+        let posed = PosedView {
             name: view.name.clone(),
             camera: Camera {
                 intrinsics: upright.lens.pinhole(),
                 world_to_camera: upright.world_to_camera * world,
             },
             lens: upright.lens,
-        });
+        };
+        let doubts = [
+            doubt_of_lens(&upright.lens),
+            doubt_of_size(given, upright),
+            doubt_of_points(&posed, points),
+        ];
+        let doubts = doubts.into_iter().flatten();
+        let doubts = doubts.map(|reason| LeftOut::new(view.path.as_str(), reason));
+        self.doubts.extend(doubts);
+        self.bounds.push(given.bounds);
+        self.views.push(posed);
     }
 }

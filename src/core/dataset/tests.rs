@@ -1,3 +1,4 @@
+mod doubts;
 mod formats;
 mod turned;
 
@@ -393,7 +394,25 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
         error: 0.5,
         track: 3,
     };
-    for (found, warned) in [(LEAST_POINTS, false), (LEAST_POINTS - 1, true)] {
+    let loose = SparsePoint {
+        error: 1.6,
+        track: 2,
+        ..point
+    };
+    for (found, point, code) in [
+        (LEAST_POINTS, point, None),
+        (LEAST_POINTS, loose, Some("poses_unlikely")),
+        (LEAST_POINTS, SparsePoint { track: 3, ..loose }, None),
+        (
+            LEAST_POINTS,
+            SparsePoint {
+                error: 0.7,
+                ..loose
+            },
+            None,
+        ),
+        (LEAST_POINTS - 1, point, Some("points_guessed")),
+    ] {
         let mut codes = Vec::new();
         let mut sink = |event: &Event| {
             if let Event::Warning { code, .. } = event {
@@ -408,10 +427,9 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
             .poses(&request, &mut sink, &CancelToken::new())
             .unwrap()
             .points;
-        assert_eq!(
-            (points.iter().all(|p| *p == point), codes.len()),
-            (!warned, usize::from(warned))
-        );
+        assert_eq!(codes, Vec::from_iter(code));
+        let is_found = points.iter().all(|p| *p == point);
+        assert_eq!(is_found, code != Some("points_guessed"));
     }
 }
 

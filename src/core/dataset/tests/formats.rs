@@ -35,18 +35,21 @@ impl Capture {
         told(&file, &self.views, self.dir.path())
     }
 
-    fn of_json(&self, edit: impl Fn(&mut Value)) -> (Result<Poses, PosesError>, Vec<String>) {
+    pub(super) fn of_json(
+        &self,
+        edit: impl Fn(&mut Value),
+    ) -> (Result<Poses, PosesError>, Vec<String>) {
         self.of("transforms.json", transforms(self, edit).to_string())
     }
 
     /// The file's poses, which must be the capture's and come without a word.
-    fn assert_plain(&self, told: (Result<Poses, PosesError>, Vec<String>)) {
+    pub(super) fn assert_plain(&self, told: (Result<Poses, PosesError>, Vec<String>)) {
         assert_eq!(told.1, [""; 0]);
         self.assert_right(&told.0.unwrap());
     }
 }
 
-fn said(warnings: &[String], words: &[&str]) {
+pub(super) fn said(warnings: &[String], words: &[&str]) {
     let has_all = |warning: &String| words.iter().all(|word| warning.contains(word));
     assert!(warnings.iter().any(has_all), "{words:?} in {warnings:?}");
 }
@@ -483,7 +486,7 @@ fn names_may_hold_dots_and_lack_an_extension() {
 }
 
 /// A text model of the capture, its second image with another quaternion and translation.
-fn images(capture: &Capture, second: Option<&str>, keypoints: &str) -> String {
+pub(super) fn images(capture: &Capture, second: Option<&str>, keypoints: &str) -> String {
     let line = |(i, camera): (usize, &Camera)| {
         let image = ModelImage::posed(i as u32 + 1, 1, "", camera);
         let [w, x, y, z] = image.rotation;
@@ -496,7 +499,11 @@ fn images(capture: &Capture, second: Option<&str>, keypoints: &str) -> String {
 }
 
 impl Capture {
-    fn of_model(&self, cameras: &str, images: &str) -> (Result<Poses, PosesError>, Vec<String>) {
+    pub(super) fn of_model(
+        &self,
+        cameras: &str,
+        images: &str,
+    ) -> (Result<Poses, PosesError>, Vec<String>) {
         let folder = self.dir.path().join("sparse/0");
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("cameras.txt"), cameras).unwrap();
@@ -505,7 +512,7 @@ impl Capture {
     }
 }
 
-const CAMERAS: &str = "1 PINHOLE 80 60 70 70 40 30\n";
+pub(super) const CAMERAS: &str = "1 PINHOLE 80 60 70 70 40 30\n";
 
 #[test]
 fn models_without_points_key_points_or_with_byte_order_marks_are_read() {
