@@ -161,7 +161,8 @@ impl Opened {
                 0,
             ),
             // Its decoder and the check each hold the whole file.
-            ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len()),
+            ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len())
+                .map_err(|error| jpeg::named(&fs::read(path).unwrap_or_default(), error)),
             _ => Self::with_reader(file, format, 0),
         }
     }
@@ -188,6 +189,13 @@ impl Opened {
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(ImageError::TooManyPixels { width, height });
+        }
+        let is_sphere = u64::from(width).abs_diff(2 * u64::from(height)) * 100 <= u64::from(width);
+        if is_sphere {
+            let xmp = decoder.xmp_metadata().ok().flatten().unwrap_or_default();
+            if String::from_utf8_lossy(&xmp).contains("equirectangular") {
+                return Err(ImageError::Panorama);
+            }
         }
         let exif = decoder.exif_metadata().ok().flatten().and_then(exif::read);
         // HEIC's own goes before, and a TIFF has it among its own tags.

@@ -52,6 +52,11 @@ impl Unread {
         name: "AVIF",
         sort: Sort::Picture,
     };
+    /// Two fisheyes side by side, in the bytes of a JPEG.
+    const INSTA360: Self = Self {
+        name: "INSP photographs",
+        sort: Sort::Sphere,
+    };
     const BURST: Self = Self {
         name: "HEIC burst",
         sort: Sort::Picture,
@@ -79,7 +84,7 @@ impl Unread {
     }
 
     fn is_photograph(self) -> bool {
-        matches!(self.sort, Sort::Picture | Sort::Raw)
+        matches!(self.sort, Sort::Picture | Sort::Raw | Sort::Sphere)
     }
 }
 
@@ -133,6 +138,7 @@ const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("JPEG 2000", Sort::Picture), b"\xff\x4f\xff\x51", &[]),
     (unread("JPEG XR", Sort::Picture), b"II\xbc", &["jxr", "wdp"]),
     (Unread::AVIF, b"", &["avif", "avifs"]),
+    (Unread::INSTA360, b"", &["insp"]),
     (unread("Photoshop", Sort::Picture), b"8BPS", &["psd", "psb"]),
     (
         unread("OpenEXR", Sort::Picture),
@@ -161,7 +167,6 @@ const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("AVI", Sort::Video), b"", &["avi"]),
     (unread("3GP", Sort::Video), b"", &["3gp", "3g2"]),
     (unread("360-degree", Sort::Video), b"", &["insv", "360"]),
-    (unread("INSP photographs", Sort::Sphere), b"", &["insp"]),
     (unread("damaged or inner ZIP", Sort::Archive), b"", &["zip"]),
     (unread("RAR", Sort::Archive), b"Rar!", &["rar"]),
     (unread("7z", Sort::Archive), b"7z\xbc\xaf", &["7z"]),
@@ -222,6 +227,7 @@ pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
     }
     let is_big_tiff = head.starts_with(b"II\x2b\0") || head.starts_with(b"MM\0\x2b");
     match image::guess_format(head) {
+        Ok(ImageFormat::Jpeg) if extension(path) == "insp" => Kind::Unread(Unread::INSTA360),
         Ok(ImageFormat::Tiff) if RAW_EXTENSIONS.contains(&extension(path).as_str()) => {
             Kind::Unread(Unread::RAW)
         }
@@ -311,6 +317,8 @@ mod tests {
             Kind::Readable(ImageFormat::Tiff)
         );
         assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Unread(Unread::RAW));
+        let fisheyes = kind(b"\xff\xd8\xff\xe1", Path::new("a.insp"));
+        assert_eq!(fisheyes, Kind::Unread(Unread::INSTA360));
     }
 
     #[test]
@@ -350,7 +358,7 @@ mod tests {
 
     #[test]
     fn jpegs_of_phones_and_stereo_cameras_are_photographs_by_their_names() {
-        for name in ["a.jfif", "A.MPO", "a.JPE", "a.bmp", "a.dng"] {
+        for name in ["a.jfif", "A.MPO", "a.JPE", "a.bmp", "a.dng", "a.insp"] {
             assert!(named_like_a_photograph(Path::new(name)), "{name}");
         }
         for name in ["a.rar", "a.mkv", "a.txt", "a"] {

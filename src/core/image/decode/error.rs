@@ -28,6 +28,12 @@ pub enum ImageError {
     /// A video among photographs.
     #[error("a video; one that comes alone, in no zip or folder, is taken apart into photographs")]
     Video,
+    /// A panorama of all directions, by its XMP and its shape.
+    #[error(
+        "a panorama of 360 degrees, which no one camera takes: cut it into overlapping pictures of \
+         60 to 100 degrees"
+    )]
+    Panorama,
     /// A format that is known and not read.
     #[error("{0}")]
     Unread(Unread),
@@ -75,7 +81,7 @@ impl ImageError {
     pub fn is_unsupported_format(&self) -> bool {
         matches!(
             self,
-            Self::Video | Self::Unread(_) | Self::Unsupported { .. }
+            Self::Video | Self::Panorama | Self::Unread(_) | Self::Unsupported { .. }
         )
     }
 }

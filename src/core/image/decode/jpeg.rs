@@ -64,6 +64,38 @@ pub(super) fn check(bytes: &[u8]) -> Result<Option<Grid>, ImageError> {
     }
 }
 
+/// The error of a file whose decoder does not read its kind, by the name of that.
+pub(super) fn named(bytes: &[u8], error: ImageError) -> ImageError {
+    match unread(bytes) {
+        Some(kind) => ImageError::Unsupported {
+            message: kind.to_owned(),
+        },
+        None => error,
+    }
+}
+
+fn unread(bytes: &[u8]) -> Option<&'static str> {
+    let mut file = File::new(bytes);
+    loop {
+        let (marker, _) = file.marker()?;
+        match marker {
+            0x01 | 0xd0..=0xd8 => continue,
+            0xc9..=0xcb | 0xcd..=0xcf => return Some("a JPEG of arithmetic coding"),
+            0xc3 => return Some("a lossless JPEG"),
+            0xc5..=0xc7 => return Some("a hierarchical JPEG"),
+            _ => (),
+        }
+        let segment = file.segment()?;
+        if let 0xc0..=0xc2 = marker {
+            return match segment {
+                [8, 0, 0, ..] => Some("a JPEG that tells its height behind its picture"),
+                [8, ..] => None,
+                _ => Some("a JPEG of more than 8 bits"),
+            };
+        }
+    }
+}
+
 /// The units in which a picture is coded, one after the other.
 #[derive(Debug)]
 pub(super) struct Grid {

@@ -156,3 +156,53 @@ fn damage_inside_a_scan_is_found_or_spoils_little() {
         }
     }
 }
+
+#[test]
+fn kinds_that_are_not_read_are_called_by_their_names() {
+    let frame = |at: usize, value: u8| {
+        let mut scene = SCENES[0].to_vec();
+        let marker = |pair: &[u8]| pair == [0xff, 0xc0];
+        let start = scene.windows(2).position(marker).expect("a frame");
+        scene[start + at] = value;
+        load(&scene).expect_err("not read").to_string()
+    };
+    for (at, value, words) in [
+        (1, 0xc9, "arithmetic coding"),
+        (1, 0xc3, "lossless"),
+        (4, 12, "more than 8 bits"),
+        (6, 0, "tells its height behind"),
+    ] {
+        let message = frame(at, value);
+        assert!(
+            message.contains(words) && message.contains("save it as"),
+            "{message}"
+        );
+        assert!(!message.contains("decoder"), "{message}");
+    }
+}
+
+#[test]
+fn a_panorama_is_called_so_by_its_xmp_and_its_shape() {
+    let xmp = |kind: &str| {
+        let text = format!(
+            "http://ns.adobe.com/xap/1.0/\0<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:Description \
+             GPano:ProjectionType='{kind}'/></x:xmpmeta>"
+        );
+        let length = (text.len() as u16 + 2).to_be_bytes();
+        [&[0xff, 0xe1], &length[..], text.as_bytes()].concat()
+    };
+    let picture = |width: usize, height: usize, kind: &str| {
+        let ramp = (0..3 * width * height).map(|i| (i % width) as f32 / width as f32);
+        let image = Image::<Srgb>::from_planar(width, height, ramp.collect());
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.jpg");
+        image.save(&path).expect("written");
+        let jpeg = fs::read(&path).expect("read");
+        load(&[&jpeg[..2], &xmp(kind), &jpeg[2..]].concat())
+    };
+    let panorama = picture(200, 100, "equirectangular").expect_err("a panorama");
+    assert!(panorama.to_string().contains("360 degrees"), "{panorama}");
+    assert!(picture(200, 100, "rectilinear").is_ok());
+    // A picture that was cut out of one, with its XMP.
+    assert!(picture(160, 120, "equirectangular").is_ok());
+}
