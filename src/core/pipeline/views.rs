@@ -139,17 +139,14 @@ fn read(
 ) -> Result<Vec<View>, PipelineError> {
     let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
     let splits = splits(&options.held_out, capture.hold, &poses.held_out, &names)?;
-    let training = splits
-        .iter()
-        .filter(|split| **split == Split::Train)
-        .count();
-    if training < LEAST_VIEWS {
+    if names.len() < LEAST_VIEWS {
         return Err(PipelineError::TooFewViews {
-            registered: training,
+            registered: names.len(),
             views: capture.views.len(),
             needed: LEAST_VIEWS,
         });
     }
+    leave_enough(&splits)?;
     poses
         .views
         .par_iter()
@@ -291,6 +288,25 @@ pub fn splits(
     Ok(these(&wanted))
 }
 
+/// # Errors
+/// [`OptionsError`] where too few views are left to train on.
+fn leave_enough(splits: &[Split]) -> Result<(), OptionsError> {
+    let trains = |split: &&Split| **split == Split::Train;
+    let (training, all) = (splits.iter().filter(trains).count(), splits.len());
+    if training >= LEAST_VIEWS {
+        return Ok(());
+    }
+    Err(OptionsError {
+        key: "held_out".to_owned(),
+        message: format!(
+            "{} of {all} photographs with a pose are held out, by it or by lists of the capture, \
+             and {training} are left to train on, fewer than {LEAST_VIEWS}: set it to `none` or to \
+             fewer names",
+            all - training
+        ),
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -347,6 +363,18 @@ mod tests {
     fn an_impossible_held_out_option_is_refused() {
         assert!(splits("1", None, &[], &["a", "b"]).is_err());
         assert!(splits("c", None, &[], &["a", "b"]).is_err());
+    }
+
+    #[test]
+    fn views_that_are_all_held_out_are_an_error_that_says_so() {
+        let (train, held_out) = (Split::Train, Split::HeldOut);
+        assert!(leave_enough(&[train, held_out, train, train]).is_ok());
+        let error = leave_enough(&[held_out, held_out, train, train]).unwrap_err();
+        let message = error.to_string();
+        assert!(
+            message.contains("2 of 4") && message.contains("`none`"),
+            "{message}"
+        );
     }
 
     #[test]
