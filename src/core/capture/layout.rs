@@ -78,6 +78,7 @@ impl Layout {
     /// # Errors
     /// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
     pub(super) fn of(entries: Vec<Entry>) -> Result<Self, CaptureError> {
+        let foreign_poses = pose_files::foreign(&entries);
         let (pictures, others): (Vec<_>, Vec<_>) =
             entries.into_iter().partition(claims_to_be_a_photograph);
         let others = { others.into_iter() }.filter(|entry| {
@@ -122,6 +123,9 @@ impl Layout {
         });
         let found = pose_files::find(&others, &folder, &photographs, &elsewhere, &mut warnings);
         let (poses, pose_files) = found.unzip();
+        if poses.is_none() && warnings.iter().all(|warning| warning.code != "poses_unused") {
+            warnings.extend(foreign_poses);
+        }
         Ok(Self {
             ground_truth,
             unused: beside(unused, &photographs, &folder),

@@ -1,12 +1,14 @@
 //! Which files of a capture give its poses.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use super::entries::Entry;
 use super::error::MIN_VIEWS;
 use super::layout::{GivenPosesFile, POSE_FILES};
 use super::photograph::CaptureWarning;
 use crate::dataset::GivenPoses;
+use crate::image::named_like_a_photograph;
 use crate::photo_path::PhotoPath;
 
 /// Folders in which COLMAP models are looked for, themselves or one for each model; "" is the
@@ -16,6 +18,42 @@ const MODELS: [&str; 4] = ["sparse", "colmap/sparse", "dense/sparse", ""];
 
 /// Folders whose models are no poses of the capture.
 const NO_POSES: [&str; 1] = ["sparse_gt"];
+
+/// What is part of the paths in which other programs keep poses.
+const FOREIGN: [(&str, &str); 14] = [
+    ("/cameras.xml", "Metashape"),
+    ("/sfm_data.json", "OpenMVG"),
+    ("/cameras.sfm", "Meshroom"),
+    ("/reconstruction.json", "OpenSfM"),
+    ("/bundle.out", "Bundler"),
+    (".nvm", "VisualSFM"),
+    (".rcproj", "RealityCapture"),
+    ("/cameras_sphere.npz", "IDR and NeuS"),
+    ("/cameras.npz", "IDR and NeuS"),
+    ("/meta_data.json", "SDFStudio"),
+    ("/pose/", "NSVF"),
+    ("/keyframes/cameras/", "Polycam"),
+    ("/cameras.json", "the program that wrote them"),
+    ("/cameras.csv", "the program that wrote them"),
+];
+
+/// A warning of poses in the format of another program.
+pub(super) fn foreign(entries: &[Entry]) -> Option<CaptureWarning> {
+    let program = |entry: &Entry| {
+        let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
+        let is_none = named_like_a_photograph(Path::new(&path)) || entry.path.lies_in(&NO_POSES);
+        let mut all = FOREIGN.iter().filter(|_| !is_none);
+        all.find(|(part, _)| path.contains(part))
+            .map(|(_, program)| program)
+    };
+    let (entry, program) = { entries.iter() }.find_map(|e| Some((e, program(e)?)))?;
+    let message = format!(
+        "{} holds poses that are not read, and poses are found anew: to use them, make a COLMAP \
+         model or a transforms.json of them with {program} or a converter",
+        entry.path
+    );
+    Some(CaptureWarning::new("poses_unused", message))
+}
 
 /// Poses of the capture.
 struct Set {

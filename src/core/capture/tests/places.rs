@@ -84,14 +84,15 @@ fn photographs(paths: &[&str]) -> Vec<(String, Vec<u8>)> {
         .collect()
 }
 
-/// The paths below their folder, and what is warned of but that they are few.
+/// The paths below their folder, and what is warned of but that they are few or poses not read.
 fn read(files: &[(String, Vec<u8>)]) -> (Vec<String>, Vec<String>) {
     let files: Vec<(&str, Vec<u8>)> = files
         .iter()
         .map(|(name, bytes)| (name.as_str(), bytes.clone()))
         .collect();
     let capture = open_folder(&files).expect("a capture");
-    let warnings = capture.warnings.into_iter().filter(|w| w.code != "few");
+    let is_beside = |code: &str| ["few", "poses_unused"].contains(&code);
+    let warnings = { capture.warnings.into_iter() }.filter(|w| !is_beside(&w.code));
     (
         capture
             .photographs
@@ -108,7 +109,9 @@ fn photographs_are_found_where_programs_and_cameras_put_them() {
     let nested = ["cam0/0.jpg", "cam0/1.jpg", "cam1/0.jpg"];
     let split = ["test/r_0.jpg", "train/r_0.jpg", "train/r_1.jpg"];
     let card = ["100CANON/0.jpg", "100CANON/1.jpg", "101CANON/0.jpg"];
-    let cases: [(&str, [&str; 3], &[&str]); 9] = [
+    let cases: [(&str, [&str; 3], &[&str]); 11] = [
+        ("pictures", flat, &["transforms.json"]),
+        ("images_4", flat, &["poses_bounds.npy"]),
         ("images", flat, &[]),
         ("images", nested, &["notes.txt", "transforms.json"]),
         (
@@ -465,6 +468,13 @@ proptest! {
             .collect();
         let wrapper = if around.starts_with("my") { "my scene/" } else { "" };
         files.extend(model(known.clone()).into_iter().map(|(n, b)| (format!("{wrapper}{n}"), b)));
+        // The only folder is that of the photographs.
+        let top = |path: &String| path.split_once('/').map(|(top, _)| PhotoPath::new(top));
+        let first = top(&paths[0]).filter(|_| ["", "my scene/"].contains(&around));
+        let is_only = |folder: &PhotoPath| {
+            paths.iter().all(|path| top(path).as_ref() == Some(folder))
+        };
+        let only = first.filter(is_only).unwrap_or_default();
         both(&files, |opened| {
             let capture = opened.expect("a capture");
             assert_eq!(capture.views.len(), paths.len(), "{:?}", capture.warnings);
@@ -473,7 +483,8 @@ proptest! {
             for view in &capture.views {
                 let bytes = fs::read(&view.file).expect("read");
                 let number = (0..paths.len()).find(|&n| jpeg(n) == bytes).expect("known");
-                assert_eq!(view.path, PhotoPath::new(&paths[number]));
+                let own = PhotoPath::new(&paths[number]).below(only.as_str());
+                assert_eq!(Some(&view.path), own.as_ref());
                 let posed = poses.views.iter().find(|posed| posed.name == view.name);
                 let right = |c: &Camera| c.world_to_camera.abs_diff_eq(
                     camera(number).world_to_camera, 1e-9);

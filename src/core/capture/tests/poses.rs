@@ -280,3 +280,25 @@ fn the_pictures_that_poses_name_are_read_and_not_others_of_their_names() {
     read_from("images", &|name| format!("images_2/{name}"));
     read_from("images", &|name| name.to_owned());
 }
+
+#[test]
+fn poses_in_the_formats_of_other_programs_are_told() {
+    let told = |files: &[&str]| -> Vec<String> {
+        let files: Vec<_> = files.iter().map(|name| (*name, b"{}".to_vec())).collect();
+        let warnings = with(&files).warnings.into_iter();
+        let unused = warnings.filter(|warning| warning.code == "poses_unused");
+        unused.map(|warning| warning.message).collect()
+    };
+    for (path, program) in [
+        ("cameras.xml", "Metashape"),
+        ("keyframes/cameras/17.json", "Polycam"),
+        ("pose/0001.txt", "NSVF"),
+    ] {
+        let told = told(&[path]);
+        let is_told = told.len() == 1 && told[0].starts_with(path) && told[0].contains(program);
+        assert!(is_told, "{path}: {told:?}");
+    }
+    for path in ["pose/0001.jpg", "notes.txt"] {
+        assert_eq!(told(&[path]), [""; 0], "{path}");
+    }
+}
