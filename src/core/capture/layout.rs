@@ -123,7 +123,11 @@ impl Layout {
         });
         let found = pose_files::find(&others, &folder, &photographs, &elsewhere, &mut warnings);
         let (poses, pose_files) = found.unzip();
-        if poses.is_none() && warnings.iter().all(|warning| warning.code != "poses_unused") {
+        if poses.is_none()
+            && warnings
+                .iter()
+                .all(|warning| warning.code != "poses_unused")
+        {
             warnings.extend(foreign_poses);
         }
         Ok(Self {

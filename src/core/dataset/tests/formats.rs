@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::super::*;
 use super::{Capture, capture, flipped, told};
 use crate::poses::Distortion;
-use crate::poses::model::ModelImage;
+use crate::poses::model::{ModelCamera, ModelImage};
 
 /// A `transforms.json` of the capture's cameras, changed by `edit`.
 fn transforms(capture: &Capture, edit: impl Fn(&mut Value)) -> Value {
