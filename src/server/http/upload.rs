@@ -120,9 +120,6 @@ pub async fn receive(
                 upload.files += 1;
             }
             None => {
-                if FILE_PARTS.contains(&part.as_str()) {
-                    return Err(nameless(&part));
-                }
                 if !known.contains(&part.as_str()) || upload.fields.contains_key(&part) {
                     return Err(unknown_field(&part, known));
                 }
@@ -240,6 +237,9 @@ fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {
 }
 
 fn unknown_field(part: &str, known: &[&str]) -> Problem {
+    if FILE_PARTS.contains(&part) {
+        return nameless(part);
+    }
     let shown: String = part.chars().take(LONGEST_NAME).collect();
     let pointer = format!("/{}", shown.replace('~', "~0").replace('/', "~1"));
     Problem::unprocessable(

@@ -296,7 +296,7 @@ fn scenes_with_poses_of_their_own_are_not_one() {
 }
 
 #[test]
-fn a_few_pictures_in_images_are_no_photographs_where_there_are_others() {
+fn a_few_pictures_in_images_give_way_to_photographs_elsewhere() {
     for (others, told) in [
         ("photos/", "photos/ (3"),
         ("", "own folder (3"),
@@ -367,7 +367,7 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
 }
 
 #[test]
-fn files_that_may_be_taken_for_photographs_are_listed_with_what_to_do() {
+fn files_like_photographs_are_listed_with_what_to_do() {
     let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);
     let capture = home.path().join("capture");
     for (name, told) in [

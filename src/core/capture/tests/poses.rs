@@ -213,7 +213,7 @@ fn poses_that_are_not_used_are_told() {
 }
 
 #[test]
-fn the_poses_of_most_photographs_are_taken_whatever_their_format() {
+fn the_poses_of_most_photographs_are_taken_in_any_format() {
     let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
     let capture = with(&[
         ("sparse/0/cameras.txt", CAMERAS.to_vec()),
@@ -229,7 +229,7 @@ fn the_poses_of_most_photographs_are_taken_whatever_their_format() {
 }
 
 #[test]
-fn poses_beside_the_photographs_win_over_those_of_other_pictures() {
+fn poses_beside_the_photographs_win_over_others() {
     let names = ["a.jpg", "b.jpg", "c.jpg"];
     let mut files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
         .map(|(name, seed)| (format!("dense/images/{name}"), jpeg(seed)))
@@ -250,7 +250,7 @@ fn poses_beside_the_photographs_win_over_those_of_other_pictures() {
 }
 
 #[test]
-fn the_pictures_that_poses_name_are_read_and_not_others_of_their_names() {
+fn pictures_that_poses_name_are_read_and_not_their_namesakes() {
     let names = ["a.jpg", "b.jpg", "c.jpg"];
     let files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
         .flat_map(|(name, seed)| {
