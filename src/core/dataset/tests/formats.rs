@@ -397,7 +397,7 @@ fn pixels_of_the_file_grow_with_a_frame_of_another_size() {
 }
 
 #[test]
-fn files_of_instant_ngp_and_neus2_may_have_the_axes_of_mitsuba_or_opencv() {
+fn axes_of_mitsuba_and_opencv_are_read_where_a_file_says_so() {
     let capture = capture();
     for (key, value, signs) in [
         ("from_na", json!(true), [1.0, -1.0, -1.0]),
