@@ -304,12 +304,7 @@ both("what differs from the truth is a picture of its own, which no brightening 
   }));
 
 both("without truth renders are compared with the enhanced photographs, and the page says so", async (width) => {
-  const { server } = stand;
-  const name = "one without truth";
-  const id = stand.jobs.get(name) ?? server.submit(stand.untrue(), name, { adapter: "ok" });
-  stand.jobs.set(name, id);
-  await server.reached(await id, "succeeded");
-  await stand.visit("difference-untrue", `#/jobs/${await id}`, async (page) => {
+  await stand.visit("difference-untrue", `#/jobs/${await stand.untold()}`, async (page) => {
     const root = part(page, "Views");
     const made = root.locator("figure", { hasText: "round 2, rendered − enhanced, × 4" });
     await made.scrollIntoViewIfNeeded();

@@ -51,6 +51,13 @@ export class Stand {
     return folder;
   }
 
+  /** A played job of the capture without its ground truth, ended. */
+  async untold() {
+    const id = await (this.untoldJob ??= this.server.submit(this.untrue(), "one without truth", { adapter: "ok" }));
+    await this.server.reached(id, "succeeded");
+    return id;
+  }
+
   /** A played job that has ended well. */
   async finished() {
     const id = await this.job("ok", "a finished <b>job</b>");

@@ -68,13 +68,13 @@ both("held-out views are scored beside it, and one view is shown until the job e
     assert.ok((await scores()) > 2, "the curves stay");
   }));
 
-both("without truth the page says that scores are of self-consistency", (width) =>
-  training("self-consistency", width, async (page, root) => {
-    await seen(root, "Self-consistency PSNR of 3 held-out views, dB");
+both("without truth the page says that scores are of agreement", (width) =>
+  training("agreement", width, async (page, root) => {
+    await seen(root, "Agreement, PSNR of 3 held-out views, dB");
     await seen(root, "agreement, not quality: both can be wrong in the same way");
     await root.getByText("What these numbers mean").click();
     await seen(root, "shaken like their photographs");
-    await picture(page, `page-self-consistency-${width}`);
+    await picture(page, `page-agreement-${width}`);
   }, { folder: stand.untrue() }));
 
 both("where no view is held out there are no scores, and the view that is shown trains", (width) =>

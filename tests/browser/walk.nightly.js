@@ -88,7 +88,7 @@ async function posed(page, film) {
 
 async function curved(page, film) {
   const root = part(page, "Training");
-  const psnr = chart(root, "Self-consistency PSNR of 3 held-out views, dB");
+  const psnr = chart(root, "Agreement, PSNR of 3 held-out views, dB");
   const scores = () => psnr.locator("circle.score").count();
   await film.fast(() => until("scores come in", async () => (await scores()) > 1, LONG));
   await seen(psnr.locator(".legend"), /round 1 \d\d\.\d\d/);

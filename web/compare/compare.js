@@ -117,7 +117,7 @@ const COLUMNS = [
   { title: "Delivered round" },
   { title: "PSNR after colour fit, dB", class: "figure" },
   { title: "SSIM", class: "figure" },
-  { title: "Self-consistency, dB", class: "figure" },
+  { title: "Agreement, dB", class: "figure" },
   { title: "Photographs placed" },
   { title: "Time", class: "figure" },
   { title: "Note", class: "note" },

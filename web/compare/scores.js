@@ -3,11 +3,9 @@
 import { chart } from "../lib/chart.js";
 import { h, plain } from "../lib/dom.js";
 import { called, tag } from "./entries.js";
-import { recordOf } from "../job/metrics.js";
+import { agreement, hasTruth, recordOf } from "../job/metrics.js";
 import { METRICS, direction } from "../lib/words.js";
 
-const TRUTH = { references: ["gt"], brightness: "final" };
-const OWN = { image: "render", references: ["deblurred"], brightness: "native" };
 const IMAGES = [
   ["render", "renders"],
   ["deblurred", "deblurred views"],
@@ -15,18 +13,22 @@ const IMAGES = [
 ];
 const SPLITS = ["held_out", "train"];
 
+/** Of renders, where there is no truth. */
+const own = (round, of) =>
+  hasTruth([round]) ? undefined : recordOf(round, { ...of, image: "render" }, false);
+
 /** Where each score stands in a round; `of` says which pictures are meant. */
 const VALUES = {
-  psnr_cc: (round, of) => recordOf(round, { ...TRUTH, ...of })?.psnr_cc_db,
-  ssim: (round, of) => recordOf(round, { ...TRUTH, ...of })?.ssim,
-  own_psnr: (round, of) => recordOf(round, { ...of, ...OWN })?.psnr_db,
-  own_ssim: (round, of) => recordOf(round, { ...of, ...OWN })?.ssim,
+  psnr_cc: (round, of) => recordOf(round, of, true)?.psnr_cc_db,
+  ssim: (round, of) => recordOf(round, of, true)?.ssim,
+  own_psnr: (round, of) => own(round, of) && (agreement(round) ?? own(round, of).psnr_cc_db),
+  own_ssim: (round, of) => own(round, of)?.ssim,
   noise: (round) => round.noise_sigma?.render ?? round.noise_sigma?.renders,
   seconds: (round) => round.seconds,
   gaussians: (round) => round.gaussians,
 };
 /** Told first; the rest is folded away. */
-const FIRST = ["psnr_cc", "ssim"];
+const FIRST = ["psnr_cc", "ssim", "own_psnr", "own_ssim"];
 /** Agreement with oneself, and grain that may have gone with the detail, make none the best. */
 const UNJUDGED = ["own_psnr", "own_ssim", "noise"];
 
@@ -94,7 +96,8 @@ export function scores() {
       real.filter(([key]) => !FIRST.includes(key)),
     ];
     const wasOpen = body.querySelector("details.rest")?.open ?? first.length === 0;
-    const blank = first.length === 0 ? lack(entries, of) : "";
+    const isTold = real.some(([key]) => key === "psnr_cc");
+    const blank = isTold ? "" : lack(entries, of);
     body.replaceChildren(
       h("p", { class: "hint", hidden: !blank }, blank),
       h(
@@ -106,7 +109,7 @@ export function scores() {
         ? h(
             "details",
             { class: "rest", open: wasOpen },
-            h("summary", {}, "Self-consistency, noise, time and size"),
+            h("summary", {}, "Noise, time and size"),
             h(
               "div",
               { class: "charts" },
@@ -145,7 +148,7 @@ function lack(entries, of) {
   return others
     ? "These views have no scores. Choose the other views above."
     : "None of these captures has ground truth. The scores show how well each scene agrees with " +
-        "its own training images, not which one is better.";
+        "the photographs, not which one is better.";
 }
 
 /** Curve, table and words of one score; `null` where no job has it. */

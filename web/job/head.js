@@ -11,7 +11,7 @@ import { advice } from "../lib/words.js";
 const SECOND_MS = 1000;
 
 /**
- * `{ root, update(job), leave }`; `refresh` asks the server again after something was done. Who came
+ * `{ root, update(job), sum(result), leave }`; `refresh` asks the server again after something was done. Who came
  * by a link to the job can do nothing with it.
  */
 export function jobHead(base, refresh, who) {
@@ -27,6 +27,7 @@ export function jobHead(base, refresh, who) {
   const error = h("p", { class: "problem" });
   const meaning = h("p", { class: "hint advice" });
   const problem = h("p", { class: "problem", role: "alert" });
+  const result = h("div");
   const again = h("a", { class: "button" }, "Run again with other options");
   const compare = action("Compare with…", () => compareWith(job));
   compare.hidden = false;
@@ -40,7 +41,7 @@ export function jobHead(base, refresh, who) {
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, title, state, line, !isVisitor &&
       h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
-    isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem);
+    isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem, result);
   /** @type {import("fled-api").Job | null} */
   let job = null;
   let gone = false;
@@ -125,10 +126,13 @@ export function jobHead(base, refresh, who) {
         if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "View photographs"));
       }
       setBar(bar, job);
+      bar.hidden = job.state === "succeeded";
+      if (!bar.hidden) result.replaceChildren();
       error.textContent = job.error ? failure(job.error) : "";
       meaning.textContent = job.error ? advice(job.error) : "";
       root.hidden = false;
     },
+    sum(node) { result.replaceChildren(node); },
     leave() { gone = true; clearInterval(timer); },
   };
 }

@@ -5,12 +5,13 @@ import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
 import { jobHead } from "./head.js";
 import { logView } from "./log.js";
-import { metricCharts } from "./metrics.js";
+import { hasTruth, metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
 import { leftOut } from "../lib/photographs.js";
 import { poses } from "./poses.js";
 import { scenePanel } from "../scene/panel.js";
 import { shares } from "./share.js";
+import { summary } from "./summary.js";
 import { isOver } from "../lib/state.js";
 import { SEEN, trainingView } from "./training.js";
 import { videos } from "./videos.js";
@@ -26,7 +27,7 @@ export function jobPage(main, who, id) {
   const isVisitor = who.job !== null;
   const head = jobHead(base, refresh, who);
   const problem = h("p", { class: "problem", role: "alert" });
-  const unused = section("Photographs");
+  const unused = folding("Photographs");
   const warnings = section("Warnings");
   const training = trainingView(base);
   const metrics = section("Metrics by round");
@@ -47,7 +48,7 @@ export function jobPage(main, who, id) {
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
-  let [stream, timer, gone, cameras, placed, capture, reported] = [null, 0, false, null, 0, null, ""];
+  let [stream, isHeard, timer, gone, cameras, placed, capture, given, reported] = [null, false, 0, false, null, 0, null, undefined, ""];
 
   async function refresh() {
     clearTimeout(timer);
@@ -61,8 +62,13 @@ export function jobPage(main, who, id) {
         job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
       log?.follow(!isOver(job));
-      if (isOver(job)) training.over();
-      else if (!stream) listen();
+      if (isOver(job)) {
+        training.over();
+        // What it came to stands before how it came to be.
+        if (metrics.nextSibling !== training.root) metrics.after(training.root);
+      }
+      // The curves of one that is over are in its events, too.
+      if (!stream && !(isOver(job) && isHeard)) listen();
       if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
       if (!isVisitor) capture ??= showUnused(job);
       // Only rounds and states change these; a progress event does not.
@@ -82,7 +88,9 @@ export function jobPage(main, who, id) {
   async function showUnused(job) {
     /** @type {import("fled-api").Capture | null} */
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
-    if (found && !gone) show(unused, leftOut(found));
+    if (!found || gone) return;
+    given = found.images.length;
+    show(unused, leftOut(found));
   }
 
   async function showResults(job) {
@@ -101,11 +109,13 @@ export function jobPage(main, who, id) {
     }
     scene.update(cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
-    const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
-    if (cameras) views.update(cameras, rounds, hasTruth);
+    if (cameras) views.update(cameras, rounds, hasTruth(report.rounds));
     novel.update(rounds);
     if (job.state !== "succeeded") return;
     showFiles(artifacts);
+    await capture;
+    if (gone) return;
+    head.sum(summary(job, report, artifacts, given, share?.root));
     filmed.open(cameras ?? []);
     show(exported, await exportList(base));
   }
@@ -121,6 +131,7 @@ export function jobPage(main, who, id) {
 
   function listen() {
     stream = new EventSource(`${base}/events`);
+    isHeard = true;
     let queued = 0;
     for (const name of EVENTS) {
       stream.addEventListener(name, () => {

@@ -3,59 +3,55 @@
 import { chart } from "../lib/chart.js";
 import { duration, fold, h, plain } from "../lib/dom.js";
 import { told } from "../lib/table.js";
-import { meanings } from "../lib/words.js";
+import { METRICS, meanings } from "../lib/words.js";
 
-/** Against ground truth it is quality; against our own images it is only self-consistency. */
+/** Whether the capture has ground truth, which alone tells quality. */
+export const hasTruth = (rounds) => rounds.some((round) => round.records.some(({ reference }) => reference === "gt"));
+
+/** Of all pairs of pictures those that compare rounds: each at the brightness that the run aims at. */
+const REFERENCE = { true: "gt", false: "enhanced" };
+
 export function metricCharts(rounds) {
-  const groups = [
-    ["Against ground truth", ["gt"], "final"],
-    ["Self-consistency: renders against fled's own deblurred views, not quality", ["deblurred"], "native"],
-  ];
-  const nodes = [];
-  for (const [label, references, brightness] of groups) {
-    const series = lines(rounds, references, brightness);
-    if (series.length === 0) continue;
-    const values = (key) => series
-      .map((one) => ({ ...one, points: one.records.map(([round, record]) => [round, record[key]]).filter(([, v]) => Number.isFinite(v)) }))
-      .filter((one) => one.points.length > 0);
-    const isTruth = references[0] === "gt";
-    const psnr = isTruth ? "psnr_cc_db" : "psnr_db";
-    const title = psnr === "psnr_cc_db" ? "PSNR after colour fit, dB" : "PSNR, dB";
-    const part = [
-      h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
-      meanings(isTruth ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"])];
-    // Where there is no truth the second group is the first.
-    if (nodes.length > 0) nodes.push(fold(label, ...part));
-    else nodes.push(h("h3", {}, label), ...part);
+  const isTruth = hasTruth(rounds);
+  const lines = series(rounds, isTruth);
+  const values = (key) => lines
+    .map((one) => ({ ...one, points: one.records.map(([round, record]) => [round, record[key]]).filter(([, v]) => Number.isFinite(v)) }));
+  const psnr = values("psnr_cc_db");
+  if (!isTruth) {
+    const points = rounds.map((round) => [round.round, agreement(round)]).filter(([, value]) => value);
+    if (points.length > 0) psnr.unshift({ label: "rendered, shaken as photographed", colour: 1, dashed: false, records: [], points });
   }
-  if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
-    nodes.push(h("p", { class: "hint" }, "This capture has no ground truth. The scores show how well the scene agrees with its own training images."));
-  }
-  nodes.push(fold("Round by round", roundTable(rounds),
-    meanings(["noise", "shake", "moved", "seconds", "gaussians"])));
-  return nodes;
+  const keys = isTruth ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"];
+  const drawn = [chart(METRICS[keys[0]].title, psnr, 1), chart(METRICS[keys[1]].title, values("ssim"), 2, 1)].filter(Boolean);
+  return [
+    h("h3", {}, isTruth ? "Against ground truth" : "Agreement with the photographs"),
+    !isTruth && h("p", { class: "hint" }, "This capture has no ground truth. Renders are compared with the brightened photographs, which are noisy and shaken themselves: this is agreement, not quality."),
+    drawn.length > 0 && h("div", { class: "charts" }, drawn),
+    meanings(keys),
+    fold("Round by round", roundTable(rounds), meanings(["noise", "shake", "moved", "seconds", "gaussians"])),
+  ].filter(Boolean);
 }
 
-function lines(rounds, references, brightness) {
-  const series = [];
+/** By which fled compares rounds, dB: `undefined` in reports of earlier versions, which had an SSIM. */
+export const agreement = ({ score }) => (score > 1 ? score : undefined);
+
+function series(rounds, isTruth) {
+  const found = [];
   for (const [colour, image, label] of [[0, "render", "rendered"], [1, "deblurred", "deblurred"], [2, "enhanced", "enhanced only"]]) {
     for (const [split, dashed] of [["held_out", false], ["train", true]]) {
       const records = rounds.flatMap((round) => {
-        const record = recordOf(round, { image, split, references, brightness });
+        const record = recordOf(round, { image, split }, isTruth);
         return record ? [[round.round, record]] : [];
       });
-      if (records.length > 0) series.push({ label: `${label}, ${plain(split)} (${records[0][1].views} views)`, colour, dashed, records });
+      if (records.length > 0) found.push({ label: `${label}, ${plain(split)} (${records[0][1].views} views)`, colour, dashed, records });
     }
   }
-  return series;
+  return found;
 }
 
-/** The scores in a round of one kind of picture; `undefined` where there are none. */
-export function recordOf(round, { image, split, references, brightness }) {
-  const fits = round.records.filter((r) => r.image === image && r.split === split && references.includes(r.reference));
-  // Where the wanted brightness was not measured, the other one is better than nothing.
-  return fits.find((r) => r.brightness === brightness) ?? fits[0];
-}
+/** The comparable scores in a round of one kind of picture; `undefined` where there are none. */
+export const recordOf = ({ records }, { image, split }, isTruth) => records.find((record) =>
+  record.image === image && record.split === split && record.brightness === "final" && record.reference === REFERENCE[isTruth]);
 
 const COLUMNS = ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Render noise", "Shake, px", "Camera correction, px", "Note"]
   .map((title) => ({ title }));

@@ -1,7 +1,7 @@
 // How a job trains, while it does: its loss, how well views that were held out are met, and what
 // one view looks like.
 
-import { h, s, section, show } from "../lib/dom.js";
+import { folding, h, isNarrow, s, show } from "../lib/dom.js";
 import { range, ticks } from "../lib/chart.js";
 import { meanings } from "../lib/words.js";
 
@@ -20,13 +20,15 @@ const COLOURS = 3;
  * says, `over` takes the picture away.
  */
 export function trainingView(base) {
-  const root = section("Training");
+  const root = folding("Training");
+  const lines = root.querySelector("details");
+  lines.open = true;
   const loss = curve("Loss", 4, true);
   const scores = { psnr_cc_db: curve("", 2, false), ssim: curve("", 3, false, 1) };
   const picture = livePicture(base);
   const status = h("p", { class: "hint" });
   const agreement = h("p", { class: "hint", hidden: true },
-    "Self-consistency measures how well the scene agrees with fled's own enhanced photographs. This is agreement, not quality: both can be wrong in the same way.");
+    "Without ground truth, renders are compared with the photographs that fled brightened. This is agreement, not quality: both can be wrong in the same way.");
   const words = h("div");
   const grid = h("div", { class: "live" }, loss.root, picture.root, scores.psnr_cc_db.root, scores.ssim.root);
   let [last, named, frame] = [null, null, 0];
@@ -48,7 +50,7 @@ export function trainingView(base) {
   function name({ truth, views }) {
     named = truth;
     const of = `${views} held-out view${views === 1 ? "" : "s"}`;
-    const what = truth ? "" : "Self-consistency ";
+    const what = truth ? "" : "Agreement, ";
     scores.psnr_cc_db.title(`${what}PSNR of ${of}, dB`);
     scores.ssim.title(`${what}SSIM of ${of}`);
     agreement.hidden = truth;
@@ -65,11 +67,18 @@ export function trainingView(base) {
     if (!last) return;
     if (root.hidden) show(root, grid, agreement, status, words);
     for (const chart of [loss, ...Object.values(scores)]) chart.draw(last.steps);
+    root.gist.textContent = `loss ${loss.last()}`;
     status.textContent = `Round ${last.round}, step ${last.step.toLocaleString("en")} of ${last.steps.toLocaleString("en")}: ` +
       `${last.gaussians.toLocaleString("en")} Gaussians. The loss measures how far renders are from the training views. Each dot is one view; the line is the trend.`;
   }
 
-  return { root, see, over: picture.over };
+  /** The curves stay, folded away on a phone that did not see them grow. */
+  function over() {
+    picture.over();
+    if (root.hidden) lines.open = !isNarrow();
+  }
+
+  return { root, see, over };
 }
 
 /** Names of the events that `see` takes. */
@@ -87,6 +96,7 @@ function curve(name, digits, scatters, most = Infinity) {
   const root = h("div", { class: "chart training", hidden: true }, heading, place, legend);
   return {
     root,
+    last: () => legend.querySelector(":scope > :last-child b")?.textContent,
     title(text) { heading.textContent = text; },
     add({ round, step }, value) {
       if (typeof value !== "number") return;

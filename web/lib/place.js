@@ -11,3 +11,13 @@ export function keep(values) {
   const now = query ? `${path}?${query}` : path;
   if (now !== location.hash) history.replaceState(history.state, "", now);
 }
+
+/** Goes to a part of a page, unfolded; so does the focus. */
+export function leap(part) {
+  const fold = part.querySelector("details.fold");
+  if (fold && fold.parentElement === part) fold.open = true;
+  const title = part.querySelector("h2");
+  title.tabIndex = -1;
+  part.scrollIntoView();
+  title.focus({ preventScroll: true });
+}

@@ -21,20 +21,21 @@ export const METRICS = {
       "SSIM notices blur that PSNR forgives.",
   },
   own_psnr: {
-    title: "Self-consistency PSNR, dB",
+    title: "PSNR with the photographs, dB",
     better: "higher",
     digits: 2,
     means:
-      "How well renders agree with fled's own deblurred photographs. This measures agreement, " +
-      "not truth: both can be wrong in the same way.",
+      "How well renders, each shaken like its photograph, agree with the photographs that fled " +
+      "brightened, at one brightness for all rounds. fled delivers the best round by this score. " +
+      "Without that shake a sharp render agrees less with a shaken photograph.",
   },
   own_ssim: {
-    title: "Self-consistency SSIM",
+    title: "SSIM with the photographs",
     better: "higher",
     digits: 3,
     means:
-      "The same agreement for edges and textures. A scene that is as blurred as its own " +
-      "deblurred photographs also scores well.",
+      "The same agreement for edges and textures, of renders without shake. Noise and blur in the " +
+      "photographs lower it.",
   },
   noise: {
     title: "Render noise",
@@ -92,7 +93,7 @@ const LIVE = {
     means: "The same for edges and textures; 1 means identical pictures.",
   },
   live_own_psnr: {
-    title: "Self-consistency PSNR",
+    title: "Agreement, PSNR",
     better: "higher",
     means:
       "How well renders of held-out views, shaken like their photographs, agree with those " +
@@ -100,7 +101,7 @@ const LIVE = {
       "scene's fault and limits the score that can be reached.",
   },
   live_own_ssim: {
-    title: "Self-consistency SSIM",
+    title: "Agreement, SSIM",
     better: "higher",
     means: "The same agreement for edges and textures.",
   },
