@@ -93,9 +93,21 @@ both("jobs are searched and filtered, and the address keeps how", async (width) 
   ),
 );
 
-test("the failures' names are words for people", () =>
-  stand.visit("failures", "", async (page) =>
-    seen(page.locator("tr", { hasText: FAILED }), "too few photographs could be placed"),
+both("a job that failed says why in a row of its own, one that is over how long it took", (width) =>
+  stand.visit(
+    "failures",
+    "",
+    async (page) => {
+      const row = page.locator("tr", { hasText: FAILED });
+      await seen(
+        row.locator("xpath=following-sibling::tr[1]"),
+        "too few photographs could be placed: 3 of 20 photographs could be placed",
+      );
+      const done = page.locator("tr", { hasText: FINISHED });
+      await seen(done.locator("td[data-label=Time]"), /^\d+\.\d s$/);
+      assert.equal(await done.getByRole("progressbar").count(), 0);
+    },
+    width,
   ));
 
 /** Jobs that the server does not have, a page of the API at a time. */

@@ -4,6 +4,7 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { Stand, both, chart, part, provoked, seen } from "./played.js";
+import { until } from "./until.js";
 
 let stand;
 
@@ -88,3 +89,23 @@ test("jobs without truth are compared by the same agreement", () =>
     await seen(part(page, "Metrics by round"), "how well each scene agrees with the photographs");
     provoked(faults, 404);
   }, "desktop"));
+
+/** How far below the top of the window a part begins, px. */
+const below = (locator) => locator.evaluate((one) => one.getBoundingClientRect().top);
+
+both("parts of the page are links in a bar, and an address leads to one", async (width) => {
+  const address = `#/jobs/${await stand.finished()}`;
+  await stand.visit("parts", `${address}?part=files`, async (page) => {
+    const bar = page.getByRole("navigation", { name: "Parts of this page" });
+    const files = part(page, "Files");
+    await until("the part is gone to", async () => Math.abs((await below(files)) - (width === "phone" ? 40 : 52)) < 3);
+    await seen(bar.locator("[aria-current]"), "Files");
+    const names = await bar.getByRole("link").allInnerTexts();
+    assert.deepEqual(names.slice(0, 5), ["Scene", "Views", "Metrics", "Training", "Files"]);
+    await bar.getByRole("link", { name: "Log" }).focus();
+    await page.keyboard.press("Enter");
+    await seen(part(page, "Log"), "round 2 is delivered");
+    assert.equal(new URL(page.url()).hash, `${address}?part=log`);
+    assert.equal(await page.evaluate(() => document.activeElement.textContent), "Log");
+  }, width);
+});

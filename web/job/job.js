@@ -1,6 +1,7 @@
 // One job, live.
 
 import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "../lib/dom.js";
+import { contents } from "../lib/contents.js";
 import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
 import { jobHead } from "./head.js";
@@ -43,7 +44,10 @@ export function jobPage(main, who, id) {
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // What matters comes first: on a phone the rest is far below.
-  main.append(head.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
+  const bar = contents(main, { training: training.root, scene: scene.root, views: views.root, metrics, files, export: exported,
+    novel: novel.root, videos: filmed.root, photographs: unused, time: times, details: facts,
+    ...(share && { share: share.root }), ...(log && { log: log.root }) });
+  main.append(head.root, bar.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
     exported, novel.root, filmed.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
@@ -155,6 +159,7 @@ export function jobPage(main, who, id) {
     clearTimeout(timer);
     stream?.close();
     head.leave();
+    bar.leave();
     scene.leave();
     training.over();
     filmed.leave();

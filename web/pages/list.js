@@ -3,7 +3,7 @@
 import { api, count, duration, h, refill, when } from "../lib/dom.js";
 import { asked, keep } from "../lib/place.js";
 import { selection } from "./selection.js";
-import { doing, pill, setBar } from "../lib/state.js";
+import { doing, isOver, pill, setBar } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { startForm } from "../upload/upload.js";
@@ -27,6 +27,7 @@ const COLUMNS = [
   { title: "State" },
   { title: "Progress" },
   { title: "Details" },
+  { title: "Time", class: "word" },
   { title: "Preset", class: "word" },
   { title: "Created", class: "soft" },
 ];
@@ -53,9 +54,10 @@ export function jobTable(refresh) {
       list.hidden = jobs.length === 0;
       refill(
         body,
-        jobs.map((job) =>
+        jobs.flatMap((job) => [
           row(COLUMNS, [marked.box(job), pictures.pairOf(job), ...cells(job, known)]),
-        ),
+          ...(job.error ? [reason(job.error)] : []),
+        ]),
       );
       marked.update(jobs);
     },
@@ -69,19 +71,36 @@ function cells(job, known) {
   return [
     h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
     pill(job),
-    bar,
+    isOver(job) ? "" : bar,
     now(job, known),
+    took(job),
     job.preset,
     when(job.created_at),
   ];
 }
 
-/** What a job does, waits for or failed by. */
+/** Why a job failed, below it and as wide as the list. */
+const reason = (error) =>
+  h(
+    "tr",
+    { role: "row", class: "reason" },
+    h(
+      "td",
+      { role: "cell", colSpan: COLUMNS.length },
+      h("div", {}, h("b", {}, failed(error)), `: ${error.detail}`),
+    ),
+  );
+
+/** From the first attempt to the end. */
+const took = ({ started_at: from, finished_at: to }) =>
+  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
+
+/** What a job does or waits for. */
 function now(job, known) {
   if (job.state === "queued") return waits(job, known);
   const left =
     job.state === "running" && job.eta_seconds ? ` · ${duration(job.eta_seconds)} left` : "";
-  return doing(job) + left || (job.error ? failed(job.error) : "");
+  return doing(job) + left;
 }
 
 /** Its place, and what must end before it begins, as far as the list knows. */

@@ -1,0 +1,59 @@
+// The parts of a long page in a bar, each with an address of its own: `?part=NAME`.
+
+import { h } from "./dom.js";
+import { asked, keep, leap } from "./place.js";
+
+/** Fewer parts than these are seen at a glance. */
+const FEWEST = 3;
+
+/**
+ * `{ root, leave }` for `parts` by name, in `main`: one that is hidden has no link yet. The part
+ * that the address names is gone to once it is there.
+ * @param {HTMLElement} main
+ * @param {Record<string, HTMLElement>} parts
+ */
+export function contents(main, parts) {
+  const root = h("nav", { class: "contents", "aria-label": "Parts of this page", hidden: true });
+  /** @type {Map<Element, HTMLAnchorElement>} */
+  const links = new Map(Object.entries(parts).map(([name, part]) => [part, link(name, part)]));
+  let wanted = parts[asked().get("part")];
+
+  function link(name, part) {
+    const [path] = location.hash.split("?");
+    const go = (event) => {
+      if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+      event.preventDefault();
+      wanted = null;
+      keep({ part: name });
+      leap(part);
+    };
+    return h("a", { href: `${path || "#/"}?part=${name}`, onclick: go }, name[0].toUpperCase() + name.slice(1));
+  }
+
+  function draw() {
+    const order = [...main.querySelectorAll("section:not([hidden])")].filter((part) => links.has(part));
+    const now = order.map((part) => links.get(part));
+    // What is set anew is a change, which would be drawn again without end.
+    if (now.some((one, i) => one !== root.children[i]) || root.children.length !== now.length) {
+      root.replaceChildren(...now);
+      root.hidden = now.length < FEWEST;
+    }
+    if (!wanted || wanted.hidden) return;
+    leap(wanted);
+    wanted = null;
+  }
+
+  const changes = new MutationObserver(draw);
+  changes.observe(main, { childList: true, subtree: true, attributeFilter: ["hidden"] });
+  const seen = new IntersectionObserver((all) => {
+    for (const { target, isIntersecting } of all) {
+      const link = links.get(target);
+      if (isIntersecting) link.setAttribute("aria-current", "true");
+      else link.removeAttribute("aria-current");
+      // On a phone the bar is wider than the page.
+      if (isIntersecting) root.scrollLeft = link.offsetLeft - root.clientWidth / 3;
+    }
+  }, { rootMargin: "-8% 0px -91% 0px" });
+  for (const part of links.keys()) seen.observe(part);
+  return { root, leave() { changes.disconnect(); seen.disconnect(); } };
+}
