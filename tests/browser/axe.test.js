@@ -77,7 +77,7 @@ const PAGES = {
   finished: [
     async () => `#/jobs/${await stand.finished()}`,
     async (page) => {
-      await seen(part(page, "Novel view"), "azimuth 0°");
+      await page.locator(".summary").waitFor();
       await part(page, "Log").waitFor();
     },
   ],

@@ -125,6 +125,17 @@ export function overflowing(page) {
   });
 }
 
+/** Opens the page anew as a browser without WebGL. */
+export async function withoutWebGl(page) {
+  await page.addInitScript(() => {
+    const real = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...further) {
+      return kind === "webgl2" ? null : real.call(this, kind, ...further);
+    };
+  });
+  await page.reload();
+}
+
 /** Whether every picture in `locator` is there. */
 export async function loaded(locator) {
   const sizes = await locator.evaluateAll((images) => images.map((image) => image.naturalWidth));

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { Stand, part, seen } from "./played.js";
+import { Stand } from "./played.js";
 
 /** Of a page's own files, as they come over the line, without the pictures of a job. */
 const MOST_BYTES = 300_000;
@@ -34,7 +34,7 @@ const PAGES = {
 };
 const READY = {
   "the list": (page) => page.locator("table a").first().waitFor(),
-  "a finished job": (page) => seen(part(page, "Novel view"), "azimuth 0°"),
+  "a finished job": (page) => page.locator(".summary").waitFor(),
 };
 
 for (const [name, where] of Object.entries(PAGES)) {

@@ -86,7 +86,7 @@ const STATES = {
 /** What is waited for before the picture is taken. */
 const SHOWN = {
   finished: async (page) => {
-    await seen(part(page, "Novel view"), "azimuth 0°");
+    await page.locator(".summary").waitFor();
     await part(page, "Files").waitFor();
     // What is folded away may be wide, too.
     await page.locator("details").evaluateAll((all) => all.forEach((one) => { one.open = true; }));

@@ -5,7 +5,7 @@ import { after, before, test } from "node:test";
 
 import { amplify } from "../../web/lib/difference.js";
 import { gains, mean } from "../../web/lib/light.js";
-import { loaded, picture } from "./browser.js";
+import { loaded, picture, withoutWebGl } from "./browser.js";
 import { Stand, both, button, part, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -132,6 +132,8 @@ both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (wi
 
 both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
   views("novel-wheel", width, async ({ page }) => {
+    assert.equal(await part(page, "Novel view").count(), 0, "the scene itself turns");
+    await withoutWebGl(page);
     const novel = part(page, "Novel view");
     const frame = novel.getByLabel("Novel view: use the arrow keys to turn");
     await seen(novel, "distance 1.00");

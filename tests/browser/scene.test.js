@@ -154,6 +154,67 @@ test("a stop brighter or two darker it is the server's picture, too", (context) 
     }
   }));
 
+test("through a wider lens it is the server's picture, too, and a photograph's camera has its own", () =>
+  opened("scene-lens", async (page) => {
+    await round(page, "Home", "Round 1");
+    const slider = page.getByRole("slider", { name: "Field of view" });
+    const [own, before] = [await slider.inputValue(), await shown(page)];
+    await slider.fill(String(Number(own) + 25));
+    await page.locator(".lens", { hasText: `${Number(own) + 25}° view` }).waitFor();
+    await settled(page);
+    const [ours, theirs] = [await shown(page), await rendered(page)];
+    const alike = await psnr(page, ours, theirs);
+    assert.ok(alike > ALIKE, `${alike} dB`);
+    assert.ok((await psnr(page, ours, before)) < FOREIGN, "it is wider");
+    await button(page, "Reset the view").click();
+    await settled(page);
+    assert.deepEqual([await slider.inputValue(), await shown(page)], [own, before]);
+  }));
+
+test("keys lead as far as the speed says", () =>
+  opened("scene-speed", async (page) => {
+    const slider = page.getByRole("slider", { name: "Speed" });
+    await slider.fill("3");
+    await page.locator(".speed", { hasText: "8× speed" }).waitFor();
+    const start = await shown(page);
+    await frame(page).focus();
+    await page.keyboard.press("KeyS", { delay: 200 });
+    await settled(page);
+    const far = await psnr(page, start, await shown(page));
+    await button(page, "Reset the view").click();
+    await settled(page);
+    await slider.fill("-3");
+    await frame(page).focus();
+    await page.keyboard.press("KeyS", { delay: 200 });
+    await settled(page);
+    const near = await psnr(page, start, await shown(page));
+    assert.ok(near > far, `${near} dB near, ${far} dB far`);
+  }));
+
+test("portrait photographs fill the frame, and a saved picture says job and view", async () => {
+  const turned = (camera) => ({ ...camera, width: camera.height, height: camera.width, cx: camera.cy, cy: camera.cx });
+  await browser.visit("scene-portrait", "#/captures", async (page) => {
+    await page.route("**/artifacts/cameras.json", async (route) => {
+      const cameras = await (await route.fetch()).json();
+      await route.fulfill({ json: cameras.map(turned) });
+    });
+    await page.goto(`${server.base}/#/jobs/${id}`);
+    await button(page, /Walk through the scene/).click();
+    await settled(page);
+    const [inner, outer] = [await frame(page).boundingBox(), await page.locator(".band").boundingBox()];
+    assert.ok(inner.width > outer.width - 2 && inner.width > inner.height, `${inner.width} of ${outer.width} px`);
+    const save = async () => {
+      const asks = button(page, /^Save this view as a PNG/).click();
+      return (await Promise.all([page.waitForEvent("download"), asks]))[0].suggestedFilename();
+    };
+    assert.match(await save(), /^a-scene-004-round-[12]\.png$/);
+    await frame(page).focus();
+    await page.keyboard.press("KeyS", { delay: 100 });
+    await settled(page);
+    assert.match(await save(), /^a-scene-free-view-round-[12]\.png$/);
+  }, { width: 1000, height: 800 });
+});
+
 test("where nobody stood it is the server's picture, too, on a fine screen", (context) =>
   opened("scene-free", async (page) => {
     await round(page, "Home", "Round 1");
@@ -251,10 +312,13 @@ test("where the photographs were taken from is drawn as lines", () =>
 
 test("fingers turn and pinch, and one that moves up scrolls until the scene is tapped", () =>
   opened("scene-touch", async (page) => {
+    const hint = page.locator(".thumb");
+    await hint.getByText("One finger turns, two pan and zoom").waitFor();
     const action = () => frame(page).evaluate((node) => getComputedStyle(node).touchAction);
     await page.locator("h1").tap();
     await frame(page).evaluate((node) => node.blur());
     assert.equal(await action(), "pan-y");
+    await hint.getByText("Tap to move through the scene").waitFor();
     await frame(page).tap();
     assert.equal(await action(), "none");
     await settled(page);
@@ -273,6 +337,7 @@ test("fingers turn and pinch, and one that moves up scrolls until the scene is t
     await touch("touchEnd");
     await settled(page);
     assert.notEqual(await shown(page), before, "pinched");
+    assert.equal(await hint.locator("span:visible").count(), 0, "who knows is not told again");
     await picture(page, "page-scene-phone");
   }, PHONE, { hasTouch: true, isMobile: true }));
 

@@ -15,6 +15,7 @@ import { shares } from "./share.js";
 import { summary } from "./summary.js";
 import { isOver } from "../lib/state.js";
 import { SEEN, trainingView } from "./training.js";
+import { hasWebGl } from "../lib/webgl.js";
 import { videos } from "./videos.js";
 import { comparison } from "./views.js";
 
@@ -39,16 +40,17 @@ export function jobPage(main, who, id) {
   const exported = folding("Export");
   const views = comparison(id);
   const scene = scenePanel(id);
-  const novel = novelView(id);
+  // Where the browser draws the scene, nobody needs the server to turn it.
+  const novel = hasWebGl() ? null : novelView(id);
   // Where nobody needs a token, a link would mean nothing.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // What matters comes first: on a phone the rest is far below.
   const bar = contents(main, { training: training.root, scene: scene.root, views: views.root, metrics, files, export: exported,
-    novel: novel.root, videos: filmed.root, photographs: unused, time: times, details: facts,
+    ...(novel && { novel: novel.root }), videos: filmed.root, photographs: unused, time: times, details: facts,
     ...(share && { share: share.root }), ...(log && { log: log.root }) });
   main.append(head.root, bar.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
-    exported, novel.root, filmed.root, unused, h("div", { class: "columns" }, times, facts),
+    exported, ...(novel ? [novel.root] : []), filmed.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -111,10 +113,10 @@ export function jobPage(main, who, id) {
       [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
       if (gone) return;
     }
-    scene.update(cameras ?? [], artifacts, report.best_round);
+    scene.update(job.name || id, cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
     if (cameras) views.update(cameras, rounds, hasTruth(report.rounds));
-    novel.update(rounds);
+    novel?.update(rounds);
     if (job.state !== "succeeded") return;
     showFiles(artifacts);
     await capture;

@@ -50,6 +50,15 @@ export function fitted(k, width, height) {
   };
 }
 
+/** The angle that a picture of `k` is high, radians. */
+export const angleOf = (k) => 2 * Math.atan(k.height / (2 * k.fy));
+
+/** `k` as through another lens: its picture is `angle` high. */
+export function seenAt(k, angle) {
+  const nearer = Math.tan(angleOf(k) / 2) / Math.tan(angle / 2);
+  return { ...k, fx: k.fx * nearer, fy: k.fy * nearer };
+}
+
 /** What photographers stood around: `{ centre, radius, up }`, as orbit.rs finds it. */
 export function surroundingsOf(cameras) {
   const poses = cameras.map((camera) => poseOf(camera));

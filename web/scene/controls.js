@@ -26,7 +26,7 @@ const NEARS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 const isMoving = (code) => [WALKS, RISES, LOOKS, NEARS].some((keys) => code in keys);
 
 /**
- * Listens on `frame`. `camera` has `pose`, `surroundings`, `focal()` in CSS px, `moved(pose)` for
+ * Listens on `frame`. `camera` has `pose`, `surroundings`, `focal()` in CSS px, `speed()`, `moved(pose)` for
  * what was done at once, `wake()` for keys that are held, and `clicked(x, y)`. The wheel and a
  * finger that moves up or down are the page's as long as the frame has no focus.
  */
@@ -104,7 +104,7 @@ export function controls(frame, camera) {
     isHeld: () => keys.size > 0,
     /** Where the held keys lead within `seconds`. */
     held(seconds) {
-      const [angle, way] = [TURN_SPEED * seconds, WALK_SPEED * seconds * (runs ? RUN : 1)];
+      const [angle, way] = [TURN_SPEED * seconds, camera.speed() * WALK_SPEED * seconds * (runs ? RUN : 1)];
       const { surroundings } = camera;
       let { pose } = camera;
       for (const code of keys) {

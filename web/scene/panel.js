@@ -52,14 +52,14 @@ export function scenePanel(job) {
   return {
     root,
     leave,
-    /** Of the cameras and files of the job; `best` is the round that is delivered. */
-    update(cameras, artifacts, best) {
+    /** Of the name, cameras and files of the job; `best` is the round that is delivered. */
+    update(name, cameras, artifacts, best) {
       const scenes = scenesOf(job, artifacts, best);
       root.hidden = scenes.length === 0 || cameras.length === 0;
       if (root.hidden) return;
       const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
       const start = cameras[Math.floor(cameras.length / 2)].name;
-      facts = { scenes, first, start };
+      facts = { name, scenes, first, start };
       if (!isOpening) invite();
       bytes.textContent = size(first.bytes);
       const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;

@@ -21,15 +21,15 @@ export function request(scene, matrix, k, ev = 0) {
   };
 }
 
-/** Fetches the picture and has the browser save it. */
-export async function savedPicture(job, scene, matrix, k, ev) {
+/** Fetches the picture, a file `name`, and has the browser save it. */
+export async function savedPicture(job, name, scene, matrix, k, ev) {
   const response = await fetch(`/v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify(request(scene, matrix, k, ev)),
   });
   if (!response.ok) throw new Refusal(response.status, await response.json().catch(() => null));
   const href = URL.createObjectURL(await response.blob());
-  h("a", { href, download: "view.png" }).click();
+  h("a", { href, download: name }).click();
   // The browser has taken it by then.
   setTimeout(() => URL.revokeObjectURL(href), 10_000);
 }

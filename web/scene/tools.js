@@ -4,8 +4,9 @@ import { h } from "../lib/dom.js";
 
 /**
  * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` or null where there is none,
- * `round(scene)`, `picture`, `close`; `stage` is what fills the screen. Answers `{ root, at(index),
- * isOn(), ev(), scenes(list, current), say(words) }`.
+ * `lens(degrees)` with null for the camera's own, `round(scene)`, `picture`, `close`; `stage` is what
+ * fills the screen. Answers `{ root, at(index), isOn(), ev(), lens(degrees), speed(), scenes(list,
+ * current), say(words) }`.
  */
 export function sceneTools(cameras, stage, does) {
   const press = (text, onclick, label = text) =>
@@ -18,7 +19,11 @@ export function sceneTools(cameras, stage, does) {
   let [last, wasShown] = [0, false];
   const step = (by) => () => does.jump((last + by + cameras.length) % cameras.length);
   const lines = h("input", { type: "checkbox", onchange: () => does.lines(lines.checked) });
-  const exposure = exposureSlider(does.exposure);
+  const exposure = slider("Exposure", "exposure", { min: -3, max: 3, step: 0.25, first: 0, words: signed, changed: does.exposure });
+  exposure.root.hidden = !does.exposure;
+  const lens = slider("Field of view", "lens", { min: 15, max: 110, step: 1, first: 50, words: (degrees) => `${degrees}° view`, changed: does.lens });
+  // Of keys: fingers have their own.
+  const speed = slider("Speed", "speed", { min: -3, max: 3, step: 1, first: 0, words: (power) => `${2 ** power}× speed`, changed: null });
   const rounds = roundSlider(does.round);
   const words = h("p", { class: "hint", role: "status" });
   const picture = press("Save PNG", async () => {
@@ -34,7 +39,7 @@ export function sceneTools(cameras, stage, does) {
         press("›", step(1), "Next photograph")),
       press("Reset", does.reset, "Reset the view"),
       h("label", { class: "check" }, lines, "Cameras"), exposure.root,
-      rounds.root,
+      lens.root, speed.root, rounds.root,
       h("div", { class: "row push ends" }, picture, full,
         press("Close", does.close, "Close the 3D view"))),
     words);
@@ -47,7 +52,11 @@ export function sceneTools(cameras, stage, does) {
     },
     isOn: () => lines.checked,
     /** Stops brighter than the scene. */
-    ev: exposure.stops,
+    ev: () => (does.exposure ? exposure.value() : 0),
+    /** The camera's own field of view, degrees; of the slider that changes it. */
+    lens: (degrees) => lens.set(degrees),
+    /** Of walking, times the ordinary. */
+    speed: () => 2 ** speed.value(),
     scenes(list, current) {
       // The server renders scenes; of points there is none. Their cameras are half of what they say.
       picture.hidden = current.isPoints === true;
@@ -65,23 +74,26 @@ function wide(stage) {
   else stage.requestFullscreen().catch(() => {});
 }
 
-/** How bright the scene is shown, in stops; a double click is 0 again. */
-function exposureSlider(changed) {
-  const input = h("input", { type: "range", min: "-3", max: "3", step: "0.25", value: "0",
-    "aria-label": "Exposure" });
+/**
+ * A slider with its value in words: `{ root, value(), set(value) }`; a double click is `first`
+ * again. `changed(value)`, with null for that double click.
+ */
+function slider(name, style, { min, max, step, first, words, changed }) {
+  const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), "aria-label": name });
   const label = h("span", {});
-  const stops = () => (changed ? Number(input.value) : 0);
-  const say = () => {
-    const value = stops();
-    label.textContent = `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;
+  const value = () => Number(input.value);
+  const set = (now) => {
+    input.value = String(now);
+    label.textContent = words(value());
     input.setAttribute("aria-valuetext", label.textContent);
   };
-  const set = () => { say(); changed?.(); };
-  input.addEventListener("input", set);
-  input.addEventListener("dblclick", () => { input.value = "0"; set(); });
-  say();
-  return { root: h("label", { class: "check exposure", hidden: !changed }, label, input), stops };
+  input.addEventListener("input", () => { set(value()); changed?.(value()); });
+  input.addEventListener("dblclick", () => { set(first); changed?.(null); });
+  set(first);
+  return { root: h("label", { class: `check ranged ${style}` }, label, input), value, set };
 }
+
+const signed = (value) => `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;
 
 /** Which round's scene is shown; hidden where there is one. */
 function roundSlider(chosen) {

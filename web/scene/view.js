@@ -1,7 +1,7 @@
 // The scene itself, in 3D: a canvas, what moves its camera, and the buttons below.
 
 import { api, count, h, size } from "../lib/dom.js";
-import { between, fitted, matrixOf, neared, poseOf, surroundingsOf } from "./camera.js";
+import { angleOf, between, fitted, matrixOf, neared, poseOf, seenAt, surroundingsOf } from "./camera.js";
 import { controls } from "./controls.js";
 import { frusta } from "./frusta.js";
 import { renderer } from "./gl.js";
@@ -28,21 +28,24 @@ const LONGEST_STEP = 100;
 const BACK = 1.7;
 const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
   + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape lets go.";
-const FINGERS = "Tap the picture to control it: one finger turns, two pan and zoom. "
-  + "Tap beside it to let go.";
+/** Where a thumb is: above the lower edge of the picture. */
+const UNTOUCHED = "Tap to move through the scene";
+const FINGERS = "One finger turns, two pan and zoom. Tap beside the picture to scroll the page.";
+/** A degree, radians. */
+const DEGREE = Math.PI / 180;
 const NO_WEBGL = "This browser does not support WebGL 2, which the 3D view needs. Turn on hardware "
   + "acceleration in its settings, or use the pictures rendered by the server below.";
 const LOST = "The graphics adapter dropped the picture, as can happen when it is overloaded or the "
   + "machine was asleep. Open the scene again.";
 
 /**
- * Opens the scene of a job in `place`. `scenes` are `{ round, url, isDelivered }`, `first` the one
+ * Opens the scene of a job in `place`. `name` is the job's, `scenes` are `{ round, url, isDelivered }`, `first` the one
  * to begin with and `start` the name of the camera. `ended(words)` is called when it closes by
  * itself, with the reason, or is closed. Throws a `SceneError` where the browser cannot.
  */
-export async function openScene(place, { job, scenes, first, start, ended }) {
+export async function openScene(place, { job, name, scenes, first, start, ended }) {
   const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`);
-  const view = new View(job, cameras, scenes, ended);
+  const view = new View(job, name, cameras, scenes, ended);
   place.replaceChildren(view.stage);
   view.begin(first, Math.max(0, cameras.findIndex(({ name }) => name === start)));
   return view;
@@ -71,8 +74,9 @@ class View {
   #isSorting = false;
   #isGone = false;
 
-  constructor(job, cameras, scenes, ended) {
+  constructor(job, name, cameras, scenes, ended) {
     this.job = job;
+    this.name = name;
     this.world = worldOf(cameras);
     cameras = cameras.map((camera) => cameraWithin(camera, this.world));
     this.cameras = cameras;
@@ -84,15 +88,17 @@ class View {
     if (!this.drawer) throw new SceneError(NO_WEBGL);
     this.lines = h("canvas", { class: "lines" });
     this.veil = h("div", { class: "veil", role: "status" });
+    this.thumb = h("p", { class: "thumb" }, h("span", { class: "out" }, UNTOUCHED), h("span", { class: "in" }, FINGERS));
     this.frame = h("div", {
       class: "frame", tabIndex: 0, role: "application",
       "aria-label": "Scene in 3D: arrow keys look around, W A S D walk, Q and E move down and up",
-    }, this.canvas, this.lines, this.veil);
+    }, this.canvas, this.lines, this.veil, this.thumb);
     this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
     this.tools = sceneTools(cameras, this.stage, {
       jump: (index) => this.jump(index),
       reset: () => this.jump(this.start),
       lines: () => this.wake(),
+      lens: (degrees) => this.#see(degrees),
       exposure: this.drawer.exposes ? () => this.wake() : null,
       round: (scene) => this.load(scene),
       picture: () => this.save(),
@@ -107,7 +113,7 @@ class View {
 
   begin(scene, start) {
     this.start = start;
-    this.k = this.cameras[start];
+    this.#look(start);
     const pose = poseOf(this.k, this.surroundings);
     // Points are few: one sees them best from behind the photographers, with their cameras.
     if (scene.isPoints) this.#stand(neared(pose, this.surroundings, BACK), -1);
@@ -142,7 +148,7 @@ class View {
       [this.#sorted, this.#isSorting] = [row.join(), false];
       this.scene = scene;
       this.tools.scenes(this.scenes, scene);
-      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? FINGERS : KEYS} ${told(scene, content)}`);
+      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? "" : KEYS} ${told(scene, content)}`.trim());
       this.veil.textContent = "";
       this.wake();
     } catch (error) {
@@ -176,10 +182,27 @@ class View {
     const to = poseOf(this.cameras[index], this.surroundings);
     const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
     this.#flight = isStill ? null : { from: this.pose, to, since: performance.now() };
-    this.k = this.cameras[index];
+    this.#look(index);
     this.#fit();
     this.#stand(isStill ? to : this.pose, index);
   }
+
+  /** Through the lens of a photograph's camera. */
+  #look(index) {
+    this.k = this.cameras[index];
+    this.lens = angleOf(this.k);
+    this.tools.lens(Math.round(this.lens / DEGREE));
+  }
+
+  /** Through a lens of so many degrees, or with null the camera's own again. */
+  #see(degrees) {
+    this.lens = degrees === null ? angleOf(this.k) : degrees * DEGREE;
+    this.tools.lens(Math.round(this.lens / DEGREE));
+    this.#fit();
+    this.wake();
+  }
+
+  speed = () => this.tools.speed();
 
   /** Stands somewhere else, at the camera `chosen` or, with -1, at none. */
   #stand(pose, chosen) {
@@ -192,6 +215,7 @@ class View {
   /** For the controls: one has moved by hand. */
   moved(pose) {
     this.#flight = null;
+    this.thumb.classList.add("known");
     this.#stand(pose, -1);
   }
 
@@ -219,7 +243,7 @@ class View {
   }
 
   #fit() {
-    this.shown = fitted(this.k, this.canvas.width, this.canvas.height);
+    this.shown = fitted(seenAt(this.k, this.lens), this.canvas.width, this.canvas.height);
   }
 
   /** Draws soon. Nothing is drawn while nothing changes. */
@@ -286,10 +310,17 @@ class View {
     this.frame.setAttribute("aria-busy", String(isBusy));
   }
 
+  /** A picture's file: job, view and round. */
+  #named() {
+    const view = this.#chosen >= 0 ? this.cameras[this.#chosen].name : "free view";
+    const name = `${this.name} ${view} round ${this.scene.round}`;
+    return `${name.replace(/[^\p{L}\p{N}_.]+/gu, "-").replace(/^[-.]+/, "")}.png`;
+  }
+
   /** The server renders this very view. */
   async save() {
     try {
-      await savedPicture(this.job, this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev());
+      await savedPicture(this.job, this.#named(), this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev());
     } catch (error) {
       this.tools.say(`The picture could not be saved. ${error.message}`);
     }
