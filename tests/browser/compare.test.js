@@ -7,6 +7,7 @@ import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
 
+const HEADS = ["Job", "State", "Delivered round", "PSNR after colour fit, dB", "SSIM", "Photographs placed", "Time"];
 const NOWHERE = "00000000-0000-7000-8000-000000000000";
 const HOSTILE = "more <i>steps</i>";
 
@@ -134,7 +135,14 @@ both("scores stand by round and job, the best of each round is marked", async (w
       const glance = page.getByRole("table", { name: "At a glance" });
       assert.match(await glance.locator("tbody tr").nth(0).innerText(), /20\.50(?!\s*best)/);
       assert.match(await glance.locator("tbody tr").nth(1).innerText(), /21\.50\s*best/);
+      assert.deepEqual(
+        (await glance.locator("thead th:not([hidden])").allInnerTexts()).map((one) => one.trim()),
+        HEADS,
+        "no column is empty",
+      );
       const metrics = part(page, "Metrics by round");
+      assert.equal(await metrics.getByRole("table").count(), 0, "what the chart says is not told twice");
+      await metrics.getByText("Values by round").first().click();
       const rows = metrics
         .getByRole("region", { name: "PSNR after colour fit, dB by round" })
         .locator("tbody tr");
@@ -206,6 +214,9 @@ both("the same view of two jobs is side by side, as the address says", async (wi
       await until("both are there", () => loaded(slider.locator("img")));
       await seen(slider.locator(".left"), "A, a finished <b>job</b>, round 2");
       await seen(slider.locator(".right"), `B, ${HOSTILE}, round 3`);
+      const cut = await slider.locator("span").evaluateAll((all) =>
+        all.filter((one) => one.scrollWidth > one.clientWidth || one.scrollHeight > one.clientHeight).length);
+      assert.equal(cut, 0, "no label is cut off");
       await pictures.getByLabel("view", { exact: true }).selectOption("003");
       await pictures.getByLabel("picture", { exact: true }).selectOption("deblurred");
       const sources = () =>

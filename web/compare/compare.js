@@ -167,6 +167,12 @@ function overview(entries) {
         ]),
       ),
     );
+    // What no job has would be an empty column.
+    COLUMNS.forEach((_, i) => {
+      const cells = [...root.tBodies[0].rows].map((one) => one.cells[i]);
+      for (const one of [root.tHead.rows[0].cells[i], ...cells])
+        one.hidden = cells.every((cell) => cell.classList.contains("empty"));
+    });
     const views = split === "held_out" ? "held-out" : "training";
     caption.textContent =
       "Scores are for renders of the delivered round, or the latest, " +

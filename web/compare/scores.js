@@ -85,11 +85,13 @@ export function scores() {
     ),
     body,
   );
+  /** Scores whose values are unfolded; they stay so when drawn again. */
+  const opened = new Set();
   let [entries, isFair, begun] = [[], true, false];
 
   function draw() {
     const of = { image: image.value, split: split.value };
-    const blocks = Object.keys(METRICS).map((key) => [key, block(key, entries, of, isFair)]);
+    const blocks = Object.keys(METRICS).map((key) => [key, block(key, entries, of, isFair, opened)]);
     const real = blocks.filter(([, node]) => node);
     const [first, rest] = [
       real.filter(([key]) => FIRST.includes(key)),
@@ -152,7 +154,7 @@ function lack(entries, of) {
 }
 
 /** Curve, table and words of one score; `null` where no job has it. */
-function block(key, entries, of, isFair) {
+function block(key, entries, of, isFair, opened) {
   const metric = METRICS[key];
   const there = entries
     .map((one) => ({ one, points: points(one, key, of) }))
@@ -165,14 +167,22 @@ function block(key, entries, of, isFair) {
     points,
   }));
   const most = key.endsWith("ssim") ? 1 : Infinity;
-  const drawn = chart(metric.title, series, metric.digits - 1, most);
+  const values = byRound(metric, there, isFair && !UNJUDGED.includes(key));
+  // A single round is no curve; where there is one, its values need not be told twice.
+  const isCurve = there.some((row) => row.points.length > 1);
   return h(
     "div",
     { class: "score" },
-    drawn,
-    byRound(metric, there, isFair && !UNJUDGED.includes(key)),
+    isCurve ? chart(metric.title, series, metric.digits - 1, most) : h("h3", {}, metric.title),
+    isCurve ? unfolding(key, opened, values) : values,
     h("p", { class: "hint" }, metric.means, " ", direction(metric)),
   );
+}
+
+function unfolding(key, opened, values) {
+  const root = h("details", { open: opened.has(key) }, h("summary", {}, "Values by round"), values);
+  root.addEventListener("toggle", () => (root.open ? opened.add(key) : opened.delete(key)));
+  return root;
 }
 
 function byRound(metric, there, isFair) {

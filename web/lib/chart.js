@@ -6,6 +6,8 @@ const WIDTH = 420;
 const HEIGHT = 210;
 /** Lines of the grid at most, less one. */
 const TICKS = 5;
+/** Rounds that are called so below a chart. */
+const MOST_WORDS = 7;
 const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
 /** Of a mark, half its side. */
 const SIZE = 4;
@@ -110,9 +112,11 @@ function drawGrid(svg, rounds, { x, y }) {
       ),
     );
   }
+  // More of them stand too close for the word.
+  const word = rounds.length > MOST_WORDS ? "" : "round ";
   for (const round of rounds) {
     svg.append(
-      s("text", { x: x(round), y: HEIGHT - 6, "text-anchor": "middle" }, `round ${round}`),
+      s("text", { x: x(round), y: HEIGHT - 6, "text-anchor": "middle" }, `${word}${round}`),
     );
   }
 }
