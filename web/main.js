@@ -118,10 +118,32 @@ logout.addEventListener("click", async () => {
   enter();
 });
 
+/** So often the page looks whether the server is there, and waits so long: it says so within 5 s. */
+const ALIVE_MS = 2400;
+const place = document.getElementById("health");
+let isThere = true;
+
+function gone() {
+  isThere = false;
+  place.classList.add("bad");
+  place.title = "";
+  place.textContent = "Server not responding";
+}
+
+async function alive() {
+  if (document.hidden) return;
+  try {
+    await fetch("/livez", { signal: AbortSignal.timeout(ALIVE_MS) });
+    if (!isThere) health();
+  } catch {
+    gone();
+  }
+}
+
 async function health() {
-  const place = document.getElementById("health");
   try {
     const response = await fetch("/readyz");
+    isThere = true;
     /** @type {import("fled-api").Readiness} */
     const { checks } = await response.json();
     const missing = checks.filter((check) => !check.ok);
@@ -129,8 +151,7 @@ async function health() {
     place.title = missing.map((check) => `${check.name}: ${check.detail} ${check.hint ?? ""}`).join("\n");
     place.textContent = missing.length === 0 ? "Ready" : `Not ready: ${missing.map((check) => check.name).join(", ")}`;
   } catch {
-    place.classList.add("bad");
-    place.textContent = "Server not responding";
+    gone();
   }
 }
 
@@ -145,4 +166,6 @@ for (const name of /** @type {const} */ (["dragover", "drop"])) {
 addEventListener("hashchange", route);
 enter();
 health();
+addEventListener("unanswered", gone);
+setInterval(alive, ALIVE_MS);
 setInterval(() => { health(); stay(); }, 30000);

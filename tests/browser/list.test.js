@@ -228,3 +228,35 @@ both(
     }
   },
 );
+
+/** ms: the page says within these that the server is gone. */
+const SOON = 5000;
+
+both("a server that is gone is told in the header and in the lists, until it answers again", async (width) => {
+  for (const [name, words] of [
+    ["jobs", "Jobs appear when it answers."],
+    ["captures", "Captures appear when it answers."],
+  ]) {
+    await stand.visit(
+      `gone-${name}`,
+      "#/api",
+      async (page, faults) => {
+        await seen(page.locator("#health"), "Ready");
+        let isGone = true;
+        await page.route(/\/(livez|readyz|v1\/.*|login)(\?|$)/, (route) =>
+          isGone ? route.abort("connectionrefused") : route.fallback(),
+        );
+        await page.locator("#health", { hasText: "Server not responding" }).waitFor({ timeout: SOON });
+        await page.getByRole("link", { name, exact: false }).first().click();
+        await seen(page.getByRole("alert"), `The server is not responding. ${words}`);
+        await picture(page, `page-gone-${name}-${width}`);
+        isGone = false;
+        await page.locator("tbody a").first().waitFor();
+        await seen(page.locator("#health"), "Ready");
+        await until("it says so no more", async () => (await page.getByText("not responding").count()) === 0);
+        for (const fault of faults.splice(0)) assert.match(fault, /ERR_CONNECTION_REFUSED/);
+      },
+      width,
+    );
+  }
+});

@@ -86,7 +86,10 @@ export function jobPage(main, who, id) {
     } catch (error) {
       if (gone) return;
       if (error.status === 404) nothing(main, "Job not found.");
-      else problem.textContent = error.message;
+      else {
+        problem.textContent = error.message;
+        timer = setTimeout(refresh, QUEUE_MS);
+      }
     }
   }
 

@@ -68,13 +68,17 @@ const SAME = 2000;
 export const serverNow = () => Date.now() + ahead;
 
 /**
- * A GET or other request; a problem document becomes a `Refusal`.
+ * A GET or other request; a problem document becomes a `Refusal`. Of a server that does not answer
+ * the window hears as `unanswered`.
  * @param {string} path
  * @param {RequestInit} options
  * @returns {Promise<any>} Of the type that the caller says.
  */
 export async function api(path, options = {}) {
-  const response = await fetch(path, options);
+  const response = await fetch(path, options).catch(() => {
+    dispatchEvent(new Event("unanswered"));
+    throw new Error("The server is not responding.");
+  });
   const date = Date.parse(response.headers.get("date"));
   if (Math.abs(date - serverNow()) > SAME) ahead = date - Date.now();
   if (response.ok) return response.status === 204 ? null : response.json();

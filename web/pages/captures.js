@@ -7,6 +7,8 @@ import { row, table } from "../lib/table.js";
 const COLUMNS = [{ title: "Name" }, { title: "Photographs" }, { title: "Not used" }, { title: "Warnings" }, { title: "Uploaded", class: "soft" }];
 /** The API's largest page. */
 const MOST = 200;
+/** After an answer that did not come. */
+const AGAIN_MS = 3000;
 
 export function capturesPage(main) {
   const list = table(COLUMNS, []);
@@ -17,10 +19,11 @@ export function capturesPage(main) {
   main.append(h("section", {}, h("h1", {}, "Captures"), h("p", { class: "hint" }, "Sets of photographs that you uploaded. You can run each of them again with other options."),
     list, empty, more, problem));
   document.title = "Captures · fled";
-  let [limit, gone] = [50, false];
+  let [limit, gone, timer] = [50, false, 0];
   more.addEventListener("click", () => { limit = Math.min(limit + 50, MOST); refresh(); });
 
   async function refresh() {
+    clearTimeout(timer);
     try {
       /** @type {import("fled-api").Captures} */
       const page = await api(`/v1/captures?limit=${limit}`);
@@ -29,12 +32,15 @@ export function capturesPage(main) {
       list.hidden = page.captures.length === 0;
       empty.hidden = page.captures.length > 0;
       more.hidden = !page.next_cursor || limit >= MOST;
+      problem.textContent = "";
     } catch (error) {
-      if (!gone) problem.textContent = error.message;
+      if (gone) return;
+      problem.textContent = `${error.message} ${list.hidden ? "Captures appear when it answers." : ""}`;
+      timer = setTimeout(refresh, AGAIN_MS);
     }
   }
   refresh();
-  return () => { gone = true; };
+  return () => { gone = true; clearTimeout(timer); };
 }
 
 /** @param {import("fled-api").Capture} capture */

@@ -206,6 +206,7 @@ export function listPage(main) {
     { type: "button", hidden: true, onclick: () => filter.clear() },
     "Show all jobs",
   );
+  const problem = h("p", { class: "problem", role: "alert" });
   const form = startForm();
   const filter = filters((anew) => (anew ? refresh() : draw()));
   const list = h(
@@ -213,6 +214,7 @@ export function listPage(main) {
     { hidden: true },
     h("h2", {}, "Jobs"),
     filter.root,
+    problem,
     empty,
     h("p", { class: "row extent" }, extent, more, every),
     jobs.root,
@@ -252,8 +254,12 @@ export function listPage(main) {
       if (gone || mine !== asks) return;
       had = found;
       draw();
-    } catch {
-      /* The health line says so; the next round may succeed. */
+      problem.textContent = "";
+    } catch (error) {
+      if (gone || mine !== asks) return;
+      list.hidden = false;
+      const rest = had.jobs.length > 0 ? "This list is from before." : "Jobs appear when it answers.";
+      problem.textContent = `${error.message} ${rest}`;
     }
     if (!gone && mine === asks) timer = setTimeout(refresh, wanted > MOST ? MANY_MS : REFRESH_MS);
   }

@@ -6,6 +6,9 @@ import { api, h, plain } from "../lib/dom.js";
 const COMMON = ["rounds", "steps", "size", "cap", "target", "held_out"];
 const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
+/** After an answer that did not come. */
+const AGAIN_MS = 3000;
+
 let schema = null;
 
 /** The schema does not change while a server runs. */
@@ -33,14 +36,27 @@ export function optionsForm() {
   root.append(problem);
   let [fields, presets, wanted] = [[], null, null];
 
-  const built = load().then((known) => {
+  async function build() {
+    /** @type {any} */
+    let known = null;
+    while (!known) {
+      try {
+        known = await load();
+        problem.textContent = "";
+      } catch (error) {
+        problem.textContent = error.message;
+        await new Promise((resolve) => { setTimeout(resolve, AGAIN_MS); });
+        if (!root.isConnected) return;
+      }
+    }
     presets = known.presets;
     const keys = Object.keys(known.properties);
     const ordered = [...COMMON.filter((key) => keys.includes(key)), ...keys.filter((key) => !COMMON.includes(key))];
     fields = ordered.map((key) => field(id, key, resolve(known, known.properties[key])));
     for (const one of fields) (COMMON.includes(one.key) ? common : rest).append(one.root);
     fillIn(wanted ?? {});
-  }).catch((error) => { problem.textContent = error.message; });
+  }
+  const built = build();
 
   /** Every field at the preset's value, but for `options`. */
   function fillIn(options) {
