@@ -41,10 +41,15 @@ both("a finished job is run again with other options from its page", async (widt
   await stand.visit("again", `#/jobs/${id}`, async (page) => {
     const form = await again(page, "40");
     assert.equal(await form.getByLabel("Preset").inputValue(), "preview");
-    await form.getByLabel("steps", { exact: true }).fill("50");
-    await form.getByText("More options").click();
-    await form.getByLabel("late views", { exact: true }).uncheck();
-    await form.getByLabel("noise", { exact: true }).selectOption("paper");
+    await form.getByLabel("Training steps", { exact: true }).fill("50");
+    await form.getByLabel("Place photographs later", { exact: true }).uncheck();
+    await form.getByText("Expert options").click();
+    await form.getByLabel("Random seed", { exact: true }).fill("7");
+    assert.deepEqual(await form.locator("legend").allInnerTexts(), ["Result", "Speed", "Poses"]);
+    for (const name of ["Adapter", "Noise", "Enhance", "Lut scope"]) {
+      assert.equal(await form.getByLabel(name, { exact: true }).count(), 0, name);
+    }
+    await seen(form, "As in that job: adapter ok.");
     await picture(page, `page-options-${width}`);
     await form.getByLabel("Name").fill(`again ${width}`);
     await button(form, "Run").click();
@@ -52,17 +57,17 @@ both("a finished job is run again with other options from its page", async (widt
     const before = await server.job(id);
     const now = await server.job(page.url().split("/").pop());
     assert.equal(now.capture_id, before.capture_id);
-    assert.deepEqual(now.options, { ...before.options, steps: 50, late_views: false, noise: "paper" });
+    assert.deepEqual(now.options, { ...before.options, steps: 50, late_views: false, seed: 7 });
   }, width);
 });
 
 both("what the server says of an option stands at its field, which has the focus", async (width) =>
   stand.visit("bad-option", `#/captures/${await captureOf(await stand.finished())}`, async (page, faults) => {
     const form = part(page, "Run again with other options");
-    for (const [name, value] of [["steps", "0"], ["deblur", "no such network"]]) {
+    for (const [name, value] of [["Brightness", "no such scene"], ["Deblurring network", "no such network"]]) {
       const field = form.getByLabel(name, { exact: true });
       const before = await field.inputValue().catch(() => "");
-      if (!(await field.isVisible())) await form.getByText("More options").click();
+      if (!(await field.isVisible())) await form.getByText("Expert options").click();
       await field.fill(value);
       await button(form, "Run").click();
       const said = form.locator(".option", { has: page.getByLabel(name, { exact: true }) }).getByRole("alert");
@@ -73,20 +78,29 @@ both("what the server says of an option stands at its field, which has the focus
       await field.fill(before);
       await said.waitFor({ state: "hidden" });
     }
-    await form.getByLabel("steps", { exact: true }).fill("0");
+    // Numbers are known to be wrong before they are sent, all of them.
+    const asked = [];
+    page.on("request", (request) => request.method() === "POST" && asked.push(request.url()));
+    await form.getByLabel("Training steps", { exact: true }).fill("0");
+    await form.getByLabel("Random seed", { exact: true }).fill("1.5");
+    await form.getByLabel("Image size, px", { exact: true }).fill("9000");
     await button(form, "Run").click();
-    await seen(form.getByRole("alert"), "steps");
-    provoked(faults, 422);
+    await seen(form.getByRole("alert"), "Training steps: enter a whole number from 1 to 200,000.");
+    await seen(form.getByRole("alert"), "Random seed: enter a whole number from 0.");
+    await seen(form.getByRole("alert"), "Image size, px: enter a whole number from 64 to 4,096.");
+    assert.equal(await form.getByLabel("Image size, px", { exact: true }).evaluate((node) => node === document.activeElement), true);
+    assert.deepEqual(asked, []);
+    await picture(page, `page-bad-options-${width}`);
   }, width));
 
 both("the form of a new job has the options of its preset, and sends those that differ", async (width) =>
   stand.visit("new-options", "", async (page) => {
     await page.getByText("Options", { exact: true }).click();
-    const size = page.getByLabel("size", { exact: true });
+    const size = page.getByLabel("Image size, px", { exact: true });
     await until("standard", async () => (await size.inputValue()) === "560");
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     assert.equal(await size.inputValue(), "280");
-    await page.getByLabel("rounds", { exact: true }).fill("3");
+    await page.getByLabel("Rounds", { exact: true }).fill("3");
     await page.getByLabel("or a folder").setInputFiles(stand.folder);
     await page.getByLabel("Name").fill(`with options ${width}`);
     await button(page, "Start").click();

@@ -118,7 +118,7 @@ export const chart = (root, title) => root.locator(".chart", { has: root.page().
 export async function again(page, steps) {
   await page.getByRole("link", { name: "Run again with other options" }).click();
   const form = part(page, "Run again with other options");
-  const field = form.getByLabel("steps", { exact: true });
+  const field = form.getByLabel("Training steps", { exact: true });
   await until("the form has the job's options", async () => (await field.inputValue()) === steps);
   return form;
 }

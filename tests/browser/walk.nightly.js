@@ -140,9 +140,9 @@ async function finished(page, film) {
 
 async function repeated(page, film) {
   const form = await again(page, String(OPTIONS.steps));
-  await form.getByLabel("steps", { exact: true }).fill("200");
-  await form.getByText("More options").click();
-  await form.getByLabel("shake", { exact: true }).selectOption("off");
+  await form.getByLabel("Training steps", { exact: true }).fill("200");
+  await form.getByText("Expert options").click();
+  await form.getByLabel("Shake", { exact: true }).selectOption("off");
   await form.getByLabel("Name").fill(SECOND);
   await button(form, "Run").click();
   await seen(page.getByRole("heading", { level: 1 }), SECOND);

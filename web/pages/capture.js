@@ -91,6 +91,7 @@ function againForm(capture) {
   async function submit(event) {
     event.preventDefault();
     problem.textContent = "";
+    if (!options.check()) return;
     button.disabled = true;
     try {
       const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };

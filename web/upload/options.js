@@ -2,8 +2,21 @@
 
 import { api, h, plain } from "../lib/dom.js";
 
-/** What most people change; the rest is folded away. */
-const COMMON = ["rounds", "steps", "size", "cap", "target", "held_out"];
+/** By what they are for; those that are in none are for experts, and folded away. */
+const GROUPS = {
+  Result: ["size", "rounds", "target", "held_out"],
+  Speed: ["steps", "cap"],
+  Poses: ["pose_source", "refine_poses", "late_views"],
+};
+/** They compare methods or choose among machines: of the API and the command line alone. */
+const UNASKED = ["adapter", "lut_scope", "enhance", "noise"];
+/** What others call an option. */
+const NAMES = {
+  size: "Image size, px", target: "Brightness", held_out: "Held-out views", steps: "Training steps", cap: "Gaussians at most",
+  pose_source: "Camera poses", refine_poses: "Refine cameras", late_views: "Place photographs later", sh_degree: "Spherical harmonics, degree",
+  deblur: "Deblurring network", densify: "Densification", seed: "Random seed", train_on: "Training views", start: "Start of later rounds",
+};
+const nameOf = (key) => NAMES[key] ?? plain(key)[0].toUpperCase() + plain(key).slice(1);
 const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
 /** After an answer that did not come. */
@@ -20,21 +33,22 @@ const prose = (text) => text.replaceAll(/\s+/g, " ").split("`").map((part, i) =>
 let forms = 0;
 
 /**
- * Preset and options: `{ preset, root, chosen(), fault(error), fill(preset, options) }`. `chosen`
- * has only what differs from the preset; `fault` shows a refusal at its field and says whether it
- * could.
+ * Preset and options: `{ preset, root, chosen(), check(), fault(error), fill(preset, options) }`.
+ * `chosen` has only what differs from the preset; `check` shows at each field what is wrong with it
+ * and says whether nothing is; `fault` shows a refusal at its field and says whether it could.
  */
 export function optionsForm() {
   const id = `o${++forms}`;
   const preset = h("select", {}, Object.entries(PRESETS).map(([value, label]) =>
     h("option", { value, selected: value === "standard" }, label)));
-  const common = h("div", { class: "options" });
+  const groups = h("div");
   const rest = h("div", { class: "options" });
-  const more = h("details", {}, h("summary", {}, "More options"), rest);
-  const root = h("details", { class: "all" }, h("summary", {}, "Options"), common, more);
+  const more = h("details", {}, h("summary", {}, "Expert options"), rest);
+  const kept = h("p", { class: "hint" });
+  const root = h("details", { class: "all" }, h("summary", {}, "Options"), groups, more, kept);
   const problem = h("p", { class: "problem", role: "alert" });
   root.append(problem);
-  let [fields, presets, wanted] = [[], null, null];
+  let [fields, presets, wanted, unasked] = [[], null, null, {}];
 
   async function build() {
     /** @type {any} */
@@ -50,17 +64,27 @@ export function optionsForm() {
       }
     }
     presets = known.presets;
-    const keys = Object.keys(known.properties);
-    const ordered = [...COMMON.filter((key) => keys.includes(key)), ...keys.filter((key) => !COMMON.includes(key))];
-    fields = ordered.map((key) => field(id, key, resolve(known, known.properties[key])));
-    for (const one of fields) (COMMON.includes(one.key) ? common : rest).append(one.root);
+    const make = (key) => field(id, key, resolve(known, known.properties[key]));
+    const keys = Object.keys(known.properties).filter((key) => !UNASKED.includes(key));
+    for (const [title, members] of Object.entries(GROUPS)) {
+      const group = members.filter((key) => keys.includes(key)).map(make);
+      fields.push(...group);
+      groups.append(h("fieldset", {}, h("legend", {}, title), h("div", { class: "options" }, group.map((one) => one.root))));
+    }
+    const others = keys.filter((key) => !fields.some((one) => one.key === key)).map(make);
+    fields.push(...others);
+    rest.append(...others.map((one) => one.root));
     fillIn(wanted ?? {});
   }
   const built = build();
 
   /** Every field at the preset's value, but for `options`. */
   function fillIn(options) {
-    for (const one of fields) one.set(presets[preset.value][one.key], options[one.key]);
+    const usual = presets[preset.value];
+    for (const one of fields) one.set(usual[one.key], options[one.key]);
+    unasked = Object.fromEntries(UNASKED.filter((key) => key in options && options[key] !== usual[key]).map((key) => [key, options[key]]));
+    const words = Object.entries(unasked).map(([key, value]) => `${plain(key)} ${value}`);
+    kept.textContent = words.length > 0 ? `As in that job: ${words.join(", ")}.` : "";
   }
   preset.addEventListener("change", () => { if (presets) fillIn({}); });
 
@@ -69,17 +93,30 @@ export function optionsForm() {
     const one = fields.find((candidate) => candidate.key === key);
     for (const other of fields) other.say("");
     if (!one) return false;
-    root.open = true;
-    if (!COMMON.includes(key)) more.open = true;
+    reveal(one);
     one.say(error.detail);
+    one.focus();
     return true;
+  }
+
+  function reveal(one) {
+    root.open = true;
+    if (rest.contains(one.root)) more.open = true;
+  }
+
+  function check() {
+    const wrong = fields.filter((one) => { one.say(one.wrong()); return one.wrong(); });
+    wrong.forEach(reveal);
+    wrong[0]?.focus();
+    return wrong.length === 0;
   }
 
   return {
     preset,
     root,
     fault,
-    chosen: () => Object.fromEntries(fields.filter((one) => one.differs()).map((one) => [one.key, one.value()])),
+    check,
+    chosen: () => ({ ...unasked, ...Object.fromEntries(fields.filter((one) => one.differs()).map((one) => [one.key, one.value()])) }),
     async fill(name, options) {
       preset.value = name;
       wanted = options;
@@ -118,10 +155,11 @@ function field(form, key, property) {
     input = h("input", { type: "number", step, min: property.minimum ?? "", max: property.maximum ?? "", ...about });
   } else input = h("input", { type: "text", spellcheck: false, autocomplete: "off", ...about });
   const problem = h("p", { class: "problem", id: `${id}-fault`, role: "alert" });
-  const range = number && property.maximum !== undefined ? ` (${(property.minimum ?? 0).toLocaleString()} to ${property.maximum.toLocaleString()})` : "";
+  const [least, most] = [property.minimum ?? 0, property.maximum ?? Number.MAX_SAFE_INTEGER].map((value) => value.toLocaleString("en"));
+  const range = number && property.maximum !== undefined ? ` (${least} to ${most})` : "";
   const meaning = h("span", { class: "meaning" });
-  const description = h("p", { class: "hint", id: `${id}-about` }, prose((property.description ?? "") + range), meaning);
-  const root = h("div", { class: "option" }, h("label", { htmlFor: id }, plain(key)), input, description, problem);
+  const description = h("p", { class: "hint", id: `${id}-about` }, h("code", {}, key), ": ", prose((property.description ?? "") + range), meaning);
+  const root = h("div", { class: "option" }, h("label", { htmlFor: id }, nameOf(key)), input, description, problem);
   let usual = null;
 
   function value() {
@@ -130,6 +168,16 @@ function field(form, key, property) {
     // An empty field is the preset's value; what is no number goes as it is, and the server says so.
     if (text === "") return usual;
     return number && Number.isFinite(Number(text)) ? Number(text) : text;
+  }
+  /** What is wrong with it, in a sentence, by the schema. */
+  function wrong() {
+    if (!number || (input.value.trim() === "" && !input.validity.badInput)) return "";
+    const now = Number(input.value);
+    const isWhole = property.type !== "integer" || Number.isSafeInteger(now);
+    const isWithin = now >= (property.minimum ?? 0) && now <= (property.maximum ?? Infinity);
+    if (!input.validity.badInput && isWhole && isWithin) return "";
+    const kind = property.type === "integer" ? "a whole number" : "a number";
+    return `${nameOf(key)}: enter ${kind} ${property.maximum === undefined ? `from ${least}` : `from ${least} to ${most}`}.`;
   }
   const differs = () => value() !== usual;
   function mark() {
@@ -143,10 +191,12 @@ function field(form, key, property) {
 
   function say(text) {
     problem.textContent = text;
-    if (text) { input.setAttribute("aria-invalid", "true"); input.focus(); } else input.removeAttribute("aria-invalid");
+    if (text) input.setAttribute("aria-invalid", "true");
+    else input.removeAttribute("aria-invalid");
   }
   return {
-    key, root, value, differs, say,
+    key, root, value, differs, say, wrong,
+    focus: () => input.focus(),
     /** `now` over the preset's value, where there is one. */
     set(presets, now) {
       usual = presets;

@@ -44,6 +44,7 @@ export function startForm() {
     event.preventDefault();
     problem.textContent = "";
     if (chosen.files().length === 0) { problem.textContent = "Choose photographs, a ZIP file, a video or a folder first."; return; }
+    if (!options.check()) return;
     button.disabled = true;
     try {
       const changed = options.chosen();
