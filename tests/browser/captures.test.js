@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
-import { picture } from "./browser.js";
-import { Stand, again, both, button, part, provoked, seen } from "./played.js";
+import { loaded, picture } from "./browser.js";
+import { Stand, again, both, button, drop, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
 
 let stand;
@@ -139,3 +139,24 @@ both("a capture is deleted after a question, but not while a job uses it", async
     await until("it is gone", async () => (await page.locator(`a[href="#/captures/${capture}"]`).count()) === 0);
   }, width);
 });
+
+both("what is chosen is shown, with what is wrong with it, before anything is sent", async (width) =>
+  stand.visit("chosen", "", async (page) => {
+    const sent = [];
+    page.on("request", (request) => request.method() !== "GET" && sent.push(request.url()));
+    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    const row = (name) => page.locator(".files li", { hasText: name });
+    const image = row("images/000.png").locator("img");
+    await image.scrollIntoViewIfNeeded();
+    await until("a thumbnail is there", () => loaded(image));
+    await row("broken.jpg").scrollIntoViewIfNeeded();
+    await seen(row("broken.jpg"), "cannot be read as a picture");
+    assert.equal(await row("images/000.png").locator(".bad").textContent(), "");
+    await drop(page, ".drop", [["notes.pages", "words"], ["nothing.png", ""]]);
+    await seen(row("notes.pages"), "no photograph; it will not be used");
+    await seen(row("nothing.png"), "empty file");
+    await image.scrollIntoViewIfNeeded();
+    assert.ok(await loaded(image), "it is not made anew");
+    await picture(page, `page-chosen-${width}`);
+    assert.deepEqual(sent, []);
+  }, width));

@@ -3,6 +3,7 @@
 import { begun } from "./begun.js";
 import { Refusal, api, count, h, size } from "../lib/dom.js";
 import { takeDrops } from "./dropped.js";
+import { looked } from "./looked.js";
 import { optionsForm } from "./options.js";
 import { sending } from "./sending.js";
 
@@ -98,13 +99,21 @@ function chosenFiles() {
   const all = h("button", { type: "button", onclick: () => { held.clear(); draw(); } }, "Remove all");
   const root = h("div", { class: "picked", hidden: true }, h("div", { class: "row" }, words, all), list);
 
+  /** Rows stay as they are: their pictures are made once. */
+  const rows = new Map();
+  function line(path, file) {
+    const { picture, fault } = looked(path, file);
+    return h("li", {}, picture, h("span", { class: "path" }, path), fault, h("span", { class: "soft" }, size(file.size)),
+      h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => takeOut(path) }, "Remove"));
+  }
+
   function draw() {
     const bytes = [...held.values()].reduce((sum, file) => sum + file.size, 0);
     words.textContent = held.size === 0 ? "" : `${count(held.size, "file")} chosen, ${size(bytes)}`;
     root.hidden = held.size === 0;
-    list.replaceChildren(...[...held].map(([path, file]) => h("li", {},
-      h("span", { class: "path" }, path), h("span", { class: "soft" }, size(file.size)),
-      h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => takeOut(path) }, "Remove"))));
+    for (const path of rows.keys()) if (!held.has(path)) rows.delete(path);
+    for (const [path, file] of held) if (!rows.has(path)) rows.set(path, line(path, file));
+    list.replaceChildren(...[...held.keys()].map((path) => rows.get(path)));
   }
 
   function takeOut(path) {
