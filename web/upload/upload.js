@@ -103,7 +103,7 @@ function chosenFiles() {
   const rows = new Map();
   function line(path, file) {
     const { picture, fault } = looked(path, file);
-    return h("li", {}, picture, h("span", { class: "path" }, path), fault, h("span", { class: "soft" }, size(file.size)),
+    return h("li", {}, picture, h("span", { class: "of" }, h("span", { class: "path" }, path), " ", fault), h("span", { class: "soft" }, size(file.size)),
       h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => takeOut(path) }, "Remove"));
   }
 
