@@ -82,8 +82,8 @@ const CODE_PAGE: &str = "ÇüéâäàåçêëèïîìÄÅÉæÆôöòûùÿÖÜ�
                          αßΓπΣσµτΦΘΩδ∞φε∩≡±≥≤⌠⌡÷≈°∙·√ⁿ²■\u{a0}";
 
 /// A name in bytes of any encoding: UTF-8, or else read as code page 437, as zips have it. It is
-/// only shown and compared: equal names stay equal. Where a letter has two bytes, the second one may
-/// be that of a backslash.
+/// only shown and compared: equal names stay equal. Where a letter has two bytes, the second one
+/// may be that of a backslash.
 pub fn decoded(name: &[u8]) -> String {
     if let Ok(name) = str::from_utf8(name) {
         return name.to_owned();

@@ -213,7 +213,11 @@ pub(super) fn find(
     }
     // Too few beside a folder are its cover.
     let all = are_spanned || tops.is_empty() || in_root >= MIN_VIEWS;
-    Ok(chosen("", candidates, |entry| all || top(entry).is_some()))
+    let only = tops.first().filter(|_| tops.len() == 1 && in_root == 0);
+    let folder = only.map_or_else(String::new, |top| (*top).to_owned());
+    Ok(chosen(&folder, candidates, |entry| {
+        all || top(entry).is_some()
+    }))
 }
 
 fn is_images(folder: &str) -> bool {

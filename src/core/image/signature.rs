@@ -227,7 +227,7 @@ pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
     }
     let is_big_tiff = head.starts_with(b"II\x2b\0") || head.starts_with(b"MM\0\x2b");
     match image::guess_format(head) {
-        Ok(ImageFormat::Jpeg) if extension(path) == "insp" => Kind::Unread(Unread::INSTA360),
+        Ok(_) if extension(path) == "insp" => Kind::Unread(Unread::INSTA360),
         Ok(ImageFormat::Tiff) if RAW_EXTENSIONS.contains(&extension(path).as_str()) => {
             Kind::Unread(Unread::RAW)
         }

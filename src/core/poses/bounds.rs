@@ -70,10 +70,12 @@ fn numbers(bytes: &[u8]) -> Result<Array2<f64>, String> {
 
 fn told(error: &ViewNpyError) -> String {
     let what = match error {
-        ViewNpyError::WrongDescriptor(_) => "its numbers are neither float64 nor float32",
-        ViewNpyError::NonNativeEndian => "its numbers are big-endian",
-        ViewNpyError::WrongNdim(..) => "it is no table with a row for each photograph",
-        _ => "it is cut short or damaged",
+        ViewNpyError::WrongDescriptor(_) => {
+            "its numbers are neither float64 nor float32".to_owned()
+        }
+        ViewNpyError::NonNativeEndian => format!("its rows of {COLUMNS} numbers are big-endian"),
+        ViewNpyError::MissingBytes(_) => "it is cut short".to_owned(),
+        _ => format!("it is no array of rows of {COLUMNS} numbers"),
     };
     format!("{what}; save it anew as float64 by numpy.save")
 }
