@@ -34,7 +34,7 @@ const RUNS: [(&str, &[&str]); 2] = [
 ];
 
 /// Measured values, which may differ between equal runs.
-const CLOCK: [&str; 3] = ["seconds", "steps_per_second", "stages"];
+const CLOCK: [&str; 4] = ["seconds", "steps_per_second", "stages", "between"];
 
 /// Tolerance of the scores on another machine, whose rounding differs and is amplified by training.
 const TOLERANCE_DB: f64 = 0.75;
