@@ -28,13 +28,14 @@ fn read_all(name: &str, least: usize, read: Reader) {
 
 #[test]
 fn every_reader_stands_what_fuzzers_have_kept() {
-    let readers: [(&str, Reader); 6] = [
+    let readers: [(&str, Reader); 7] = [
         ("zip", readers::zip),
         ("exif", readers::exif),
         ("ply", readers::ply),
         ("npy", readers::npy),
         ("colmap", readers::colmap),
         ("tus", readers::tus),
+        ("transforms", readers::transforms),
     ];
     for (name, read) in readers {
         read_all(name, 10, read);

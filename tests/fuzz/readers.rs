@@ -7,8 +7,10 @@ use std::path::{Path, PathBuf};
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use fled_core::capture;
+use fled_core::dataset::GivenPoses;
 use fled_core::gaussians::ply;
 use fled_core::image::read_header;
+use fled_core::photo_path::PhotoPath;
 use fled_core::poses::bounds::read_poses_bounds;
 use fled_core::poses::model::SparseModel;
 
@@ -70,6 +72,16 @@ pub fn ply(bytes: &[u8]) {
 /// LLFF's poses.
 pub fn npy(bytes: &[u8]) {
     let _ = read_poses_bounds(&written("poses_bounds.npy", bytes));
+}
+
+/// The cameras of instant-ngp and its relatives.
+pub fn transforms(bytes: &[u8]) {
+    let photographs = ["0.jpg", "1.jpg", "images/2.png"].map(PhotoPath::new);
+    let given = GivenPoses::open(&written("transforms.json", bytes), &photographs);
+    if let Ok(given) = given {
+        let _ = given.check();
+        let _ = given.names();
+    }
 }
 
 /// A COLMAP model: a first byte says whether its files are binary, the rest is split into three at
