@@ -54,7 +54,7 @@ export function jobPage(main, who, id) {
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
-  let [stream, isHeard, timer, gone, cameras, placed, capture, given, reported] = [null, false, 0, false, null, 0, null, undefined, ""];
+  let [stream, isHeard, hasEnded, timer, gone, cameras, placed, capture, given, reported] = [null, false, false, 0, false, null, 0, null, undefined, ""];
 
   async function refresh() {
     clearTimeout(timer);
@@ -62,6 +62,7 @@ export function jobPage(main, who, id) {
       /** @type {import("fled-api").Job} */
       const job = await api(base);
       if (gone) return;
+      hasEnded = isOver(job);
       head.update(job);
       problem.textContent = "";
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
@@ -144,8 +145,9 @@ export function jobPage(main, who, id) {
     let queued = 0;
     for (const name of EVENTS) {
       stream.addEventListener(name, () => {
-        // The whole history comes at first: one refresh is enough for many events.
-        if (!queued) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
+        // The whole history comes at first: one refresh is enough for many events, and none where
+        // all of them are past.
+        if (!queued && !hasEnded) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }
     for (const kind of SEEN) {
@@ -154,7 +156,7 @@ export function jobPage(main, who, id) {
     stream.onerror = () => {
       if (stream?.readyState !== EventSource.CLOSED) return;
       stream = null;
-      if (!gone) refresh();
+      if (!gone && !hasEnded) refresh();
     };
   }
 

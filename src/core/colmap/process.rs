@@ -265,11 +265,12 @@ impl Runner {
     }
 }
 
-/// What a line of output says, without what the glog library writes before it; `None` for an empty
-/// line and for those of a stack trace.
+/// What a line of output says, without what the glog library writes before it; `None` for a line
+/// without words and for those of a stack trace.
 fn message(line: &str) -> Option<&str> {
     let line = line.trim();
-    let is_trace = line.is_empty() || line.starts_with("@ ") || line.starts_with("***");
+    let has_words = line.contains(char::is_alphanumeric);
+    let is_trace = !has_words || line.starts_with("@ ") || line.starts_with("***");
     let is_logged = line.starts_with(['I', 'W', 'E', 'F'])
         && line[1..].starts_with(|c: char| c.is_ascii_digit());
     match line.split_once("] ") {
@@ -311,7 +312,7 @@ mod tests {
     #[test]
     fn stack_traces_and_log_prefixes_are_left_out_of_errors() {
         let text = "F0503 12:00:00.000000  77 sift.cc:12] Check failed: size > 0\n\
-                    *** Check failure stack trace: ***\n    @     0x7f00 google::LogMessage::Fail()\n\n\
+                    *** Check failure stack trace: ***\n    @     0x7f00 google::LogMessage::Fail()\n\n====\n\
                     [mapper] Images: 3";
         let said: Vec<&str> = text.lines().filter_map(message).collect();
         assert_eq!(said, ["Check failed: size > 0", "[mapper] Images: 3"]);
