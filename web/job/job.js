@@ -29,7 +29,7 @@ export function jobPage(main, who, id) {
   const isVisitor = who.job !== null;
   const head = jobHead(base, refresh, who);
   const problem = h("p", { class: "problem", role: "alert" });
-  const unused = folding("Photographs");
+  const unused = section("Photographs");
   const warnings = section("Warnings");
   const training = trainingView(base);
   const metrics = section("Metrics by round");

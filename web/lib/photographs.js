@@ -48,10 +48,9 @@ export function captureWarnings(capture) {
 export function leftOut(capture) {
   const out = rejected(capture);
   if (out.length === 0) return null;
-  const parts = [
+  return [
     h("p", {}, `${used(capture)}. Not used:`),
     h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
     h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs in this capture")),
   ];
-  return Object.assign(parts, { gist: used(capture) });
 }
