@@ -211,7 +211,7 @@ both("a failure is explained in a sentence, on the page and in the list", async 
     await seen(page.locator(".advice"), "fled could not work out where enough of the photographs were taken.");
     // Newer jobs may have driven it from the first page.
     await page.goto(`${server.base}/#/?state=failed`);
-    await seen(page.locator("tr", { hasText: "a failed job" }), "too few photographs could be placed");
+    await seen(page.locator("tr:has-text('a failed job') + .reason"), "too few photographs could be placed");
   }, width);
   await stand.visit("explained", `#/jobs/${await stand.finished()}`, async (page) => {
     await seen(state(page), "succeeded");
