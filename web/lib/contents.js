@@ -38,10 +38,15 @@ export function contents(main, parts) {
       root.replaceChildren(...now);
       root.hidden = now.length < FEWEST;
     }
-    if (!wanted || wanted.hidden) return;
-    leap(wanted);
-    wanted = null;
+    if (wanted && !wanted.hidden) leap(wanted);
   }
+
+  // What comes later above a part moves it, until somebody does something else.
+  const settle = () => { wanted = null; };
+  const touches = ["wheel", "pointerdown", "keydown"];
+  for (const touch of touches) addEventListener(touch, settle, { passive: true });
+  const grown = new ResizeObserver(draw);
+  grown.observe(main);
 
   const changes = new MutationObserver(draw);
   changes.observe(main, { childList: true, subtree: true, attributeFilter: ["hidden"] });
@@ -55,5 +60,9 @@ export function contents(main, parts) {
     }
   }, { rootMargin: "-8% 0px -91% 0px" });
   for (const part of links.keys()) seen.observe(part);
-  return { root, leave() { changes.disconnect(); seen.disconnect(); } };
+  function leave() {
+    for (const one of [changes, seen, grown]) one.disconnect();
+    for (const touch of touches) removeEventListener(touch, settle);
+  }
+  return { root, leave };
 }
