@@ -95,11 +95,12 @@ const below = (locator) => locator.evaluate((one) => one.getBoundingClientRect()
 
 both("parts of the page are links in a bar, and an address leads to one", async (width) => {
   const address = `#/jobs/${await stand.finished()}`;
-  await stand.visit("parts", `${address}?part=files`, async (page) => {
+  await stand.visit("parts", `${address}?part=metrics`, async (page) => {
     const bar = page.getByRole("navigation", { name: "Parts of this page" });
-    const files = part(page, "Files");
-    await until("the part is gone to", async () => Math.abs((await below(files)) - (width === "phone" ? 40 : 52)) < 3);
-    await seen(bar.locator("[aria-current]"), "Files");
+    const metrics = part(page, "Metrics by round");
+    await until("the part is gone to", async () => Math.abs((await below(metrics)) - (width === "phone" ? 40 : 52)) < 3);
+    await seen(bar.locator("[aria-current]"), "Metrics");
+    for (const name of ["Scene", "Files"]) await seen(bar.getByRole("link"), name);
     const names = await bar.getByRole("link").allInnerTexts();
     assert.deepEqual(names.slice(0, 5), ["Scene", "Views", "Metrics", "Training", "Files"]);
     await bar.getByRole("link", { name: "Log" }).focus();
