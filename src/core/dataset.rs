@@ -117,13 +117,13 @@ impl GivenPoses {
     /// Reads the file and forgets it: for how many photographs it has a pose.
     ///
     /// # Errors
-    /// What is wrong with the file, for which [`Sfm::poses`] will fail.
+    /// The fault of the file for which [`Sfm::poses`] will fail.
     pub fn check(&self) -> Result<usize, PosesError> {
         let assigned = self.assign(self.read()?.0)?;
         Ok(assigned.iter().flatten().count())
     }
 
-    /// What the file calls photographs, where it names them.
+    /// The names of photographs in the file; none in formats without names.
     ///
     /// # Errors
     /// Those of [`Self::check`].

@@ -1,4 +1,4 @@
-// What a finished job's page says first: what was delivered, how good it is, and how it came to be.
+// The top of a finished job's page: the delivered round, its scores, and how it came to be.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";

@@ -1,4 +1,4 @@
-// What came of a finished job, at a glance, and where one goes with it.
+// The summary of a finished job, with its downloads and links.
 
 import { duration, h, size } from "../lib/dom.js";
 import { leap } from "../lib/place.js";

@@ -5,6 +5,8 @@ import { asked, keep, leap } from "./place.js";
 
 /** Fewer parts than these are seen at a glance. */
 const FEWEST = 3;
+/** So long does a part that was gone to stay in place while the page grows. */
+const SETTLED_MS = 8000;
 
 /**
  * `{ root, leave }` for `parts` by name, in `main`: one that is hidden has no link yet. The part
@@ -16,7 +18,7 @@ export function contents(main, parts) {
   const root = h("nav", { class: "contents", "aria-label": "Parts of this page", hidden: true });
   /** @type {Map<Element, HTMLAnchorElement>} */
   const links = new Map(Object.entries(parts).map(([name, part]) => [part, link(name, part)]));
-  let wanted = parts[asked().get("part")];
+  let [wanted, settling] = [parts[asked().get("part")], 0];
 
   function link(name, part) {
     const [path] = location.hash.split("?");
@@ -38,10 +40,12 @@ export function contents(main, parts) {
       root.replaceChildren(...now);
       root.hidden = now.length < FEWEST;
     }
-    if (wanted && !wanted.hidden) leap(wanted);
+    if (!wanted || wanted.hidden) return;
+    leap(wanted);
+    settling ||= setTimeout(settle, SETTLED_MS);
   }
 
-  // What comes later above a part moves it, until somebody does something else.
+  // Content that comes above a part moves it; it stays in place for a while, or until it is left.
   const settle = () => { wanted = null; };
   const touches = ["wheel", "pointerdown", "keydown"];
   for (const touch of touches) addEventListener(touch, settle, { passive: true });
@@ -61,6 +65,7 @@ export function contents(main, parts) {
   }, { rootMargin: "-8% 0px -91% 0px" });
   for (const part of links.keys()) seen.observe(part);
   function leave() {
+    clearTimeout(settling);
     for (const one of [changes, seen, grown]) one.disconnect();
     for (const touch of touches) removeEventListener(touch, settle);
   }

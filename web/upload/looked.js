@@ -1,4 +1,4 @@
-// What the browser itself can tell of a chosen file before it is sent.
+// A chosen file as the browser sees it, before it is sent.
 
 import { h } from "../lib/dom.js";
 

@@ -78,7 +78,7 @@ fn walk(
     Ok(())
 }
 
-/// What systems leave among the files of their users: macOS's packer, Windows and Synology.
+/// Traces that systems leave among files: macOS's packer, Windows and Synology.
 const TRACES: [&str; 5] = [
     "__macosx",
     "thumbs.db",

@@ -19,7 +19,7 @@ const MODELS: [&str; 4] = ["sparse", "colmap/sparse", "dense/sparse", ""];
 /// Folders whose models are no poses of the capture.
 const NO_POSES: [&str; 1] = ["sparse_gt"];
 
-/// What is part of the paths in which other programs keep poses.
+/// Parts of the paths in which other programs keep poses, and these programs.
 const FOREIGN: [(&str, &str); 14] = [
     ("/cameras.xml", "Metashape"),
     ("/sfm_data.json", "OpenMVG"),
@@ -63,7 +63,7 @@ struct Set {
     files: Vec<Entry>,
 }
 
-/// What NeRF's files of poses call photographs, seen from the capture: they name their folders.
+/// The names of photographs in NeRF's files of poses, seen from the capture: they have folders.
 pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
     let json = { entries.iter() }.filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json"));
     let names = json.filter_map(|entry| {

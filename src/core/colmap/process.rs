@@ -265,7 +265,7 @@ impl Runner {
     }
 }
 
-/// What a line of output says, without what the glog library writes before it; `None` for a line
+/// The message of a line of output, without the prefix of the glog library; `None` for a line
 /// without words and for those of a stack trace.
 fn message(line: &str) -> Option<&str> {
     let line = line.trim();

@@ -18,7 +18,7 @@ const ASIDE: f64 = 0.3;
 const LEAST_SHARE: f64 = 0.6;
 
 /// By how much a picture of a pose may be larger or smaller than the photograph, so that it may be
-/// another cut of it: who makes photographs smaller for a reason makes them much smaller.
+/// another cut of it: photographs that are made smaller on purpose become much smaller.
 const NEAR: f64 = std::f64::consts::SQRT_2;
 
 /// Rounding of sides, px, over several changes of size.
@@ -34,7 +34,7 @@ const LEAST_POINTS: usize = 50;
 /// a principal point in the corner 0.53 or more have two, and it is 1.24 or more.
 const WORST_FIT: f64 = 1.15;
 
-/// What is unlikely about a lens.
+/// Doubts about a lens.
 pub(super) fn doubt_of_lens(lens: &Lens) -> Option<String> {
     let k = &lens.intrinsics;
     let (width, height) = (k.width as f64, k.height as f64);
@@ -66,7 +66,7 @@ pub(super) fn doubt_of_lens(lens: &Lens) -> Option<String> {
     })
 }
 
-/// What is unlikely about the size of the picture that a pose was computed on.
+/// Doubts about the size of the picture that a pose was computed on.
 pub(super) fn doubt_of_size(given: &GivenView, upright: &Upright) -> Option<String> {
     let k = &upright.lens.intrinsics;
     let (given, stored) = (given.lens.size()?, upright.turn.size((k.width, k.height)));
@@ -83,7 +83,7 @@ pub(super) fn doubt_of_size(given: &GivenView, upright: &Upright) -> Option<Stri
     })
 }
 
-/// What is unlikely about a view, by the points that came with the poses.
+/// Doubts about a view, by the points that came with the poses.
 pub(super) fn doubt_of_points(view: &PosedView, points: &[SparsePoint]) -> Option<String> {
     let mut shown = points.iter();
     let is_blind = points.len() >= LEAST_POINTS
@@ -95,7 +95,7 @@ pub(super) fn doubt_of_points(view: &PosedView, points: &[SparsePoint]) -> Optio
     })
 }
 
-/// What is unlikely about poses at which matches were triangulated.
+/// Doubts about poses at which matches were triangulated.
 pub(super) fn doubt_of_fit(points: &[SparsePoint]) -> Option<String> {
     let count = points.len();
     let of_two = points.iter().filter(|point| point.track <= 2).count();

@@ -161,7 +161,7 @@ fn held_out(content: &Object) -> HashSet<&str> {
     names
 }
 
-/// What of the camera's axes points away from OpenCV's. OpenGL's go up and backward; instant-ngp
+/// Signs of the camera's axes against OpenCV's. OpenGL's go up and backward; instant-ngp
 /// and NeuS2 mark files with those of OpenCV and of Mitsuba, which go left and up.
 fn flip(fields: &Fields<'_>) -> DVec3 {
     if fields.is_set("from_na") {

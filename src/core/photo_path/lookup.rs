@@ -228,7 +228,7 @@ impl<'a> Lookup<'a> {
     }
 }
 
-/// What stands before so many last parts of a path.
+/// The path without this many last parts.
 fn before(path: &PhotoPath, parts: usize) -> &str {
     let cut = path
         .as_str()

@@ -191,7 +191,7 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
         .hint(format!("A name has at most {LONGEST_NAME} characters.")))
 }
 
-/// What the sender of a part calls its file.
+/// The file name of a part, as its sender writes it.
 fn file_name(field: &Field<'_>) -> Option<String> {
     let header = field.headers().get(header::CONTENT_DISPOSITION)?;
     let extended = extended_name(&String::from_utf8_lossy(header.as_bytes()));

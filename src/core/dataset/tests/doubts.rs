@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::formats::{CAMERAS, images, said};
 use super::{Capture, capture};
 
-/// What is said about the poses that `edit` makes of good ones.
+/// The warnings about poses that `edit` makes of good ones.
 fn warnings(capture: &Capture, edit: &Value) -> Vec<String> {
     let (poses, warnings) = capture.of_json(|json| {
         let fields = edit.as_object().unwrap().clone();

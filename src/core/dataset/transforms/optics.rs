@@ -27,7 +27,7 @@ const LIST: &str = "distortion_params";
 /// Fields by which instant-ngp tells lenses that are not read.
 const UNREAD: [&str; 4] = ["ftheta_p0", "ftheta_p1", "latlong", "equirectangular"];
 
-/// What is to be done about a lens that is not read.
+/// Advice on a lens that is not read.
 const INSTEAD: &str = "make pictures of PINHOLE, OPENCV or OPENCV_FISHEYE";
 
 /// How a lens maps directions.

@@ -139,7 +139,7 @@ pub(super) struct UnreadCamera {
     pub(super) reason: String,
 }
 
-/// What a row of `cameras` holds.
+/// A row of `cameras`.
 pub(super) type CameraRow = Result<ModelCamera, UnreadCamera>;
 
 /// Cameras that are read, and those that are not.
