@@ -118,7 +118,11 @@ fn sent_twice(path: &PhotoPath) -> Problem {
 /// What a file is called inside the capture. A path from the root of another machine says nothing
 /// but its last part; poses without a folder and ground truth lie where they are looked for.
 fn sent_path(part: &str, name: &str) -> PhotoPath {
-    let is_absolute = name.starts_with(['/', '\\']) || name.get(1..2) == Some(":");
+    // `C:\` and `C:/` begin at a drive; a colon elsewhere belongs to the name of a folder.
+    let after_drive = name
+        .strip_prefix(|c: char| c.is_ascii_alphabetic())
+        .and_then(|rest| rest.strip_prefix(':'));
+    let is_absolute = after_drive.unwrap_or(name).starts_with(['/', '\\']);
     let path = PhotoPath::new(name);
     let path = if is_absolute {
         PhotoPath::new(path.name())

@@ -56,6 +56,19 @@ fn true_poses_are_not_taken_for_those_of_the_capture() {
 }
 
 #[test]
+fn only_paths_from_a_root_or_a_drive_lose_their_folders() {
+    for (sent, called) in [
+        ("b:c/a.png", "b:c/a.png"),
+        ("12:30/a.png", "12:30/a.png"),
+        ("C:\\set\\a.png", "a.png"),
+        ("C:/set/a.png", "a.png"),
+        ("/home/me/set/a.png", "a.png"),
+    ] {
+        assert_eq!(sent_path("images", sent).as_str(), called);
+    }
+}
+
+#[test]
 fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
     let mut places = Places::default();
     let start = std::time::Instant::now();
