@@ -7,6 +7,7 @@ pub mod left_out;
 pub mod lens;
 pub mod matching;
 pub mod model;
+pub(crate) mod npy;
 mod picture;
 pub mod pnp;
 mod rigid;

@@ -2,14 +2,12 @@
 //! focal)] row-major, then near and far depth. R and t go from camera to world; R's columns are
 //! the camera's down, right and backward axes.
 
-use std::fs::File;
-use std::io::Read;
+use std::fs;
 use std::path::Path;
 
 use glam::{DMat3, DMat4, DVec3};
-use ndarray::{Array2, ArrayView2};
-use ndarray_npy::{ViewNpyError, ViewNpyExt};
 
+use super::npy::Table;
 use super::{PosesError, rotation};
 use crate::camera::{Camera, Intrinsics};
 
@@ -36,90 +34,28 @@ pub struct BoundedCamera {
 /// [`PosesError::BadFile`] when it is no such array or no row is a camera.
 pub fn read_poses_bounds(file: &Path) -> Result<Vec<Result<BoundedCamera, String>>, PosesError> {
     let bad_file = |reason: String| PosesError::bad_file(file, reason);
-    let bytes = Aligned::read(file)?;
-    if !holds_its_header(bytes.as_ref()) {
-        return Err(bad_file("it is cut short, or no array".to_owned()));
-    }
-    let array = numbers(bytes.as_ref()).map_err(bad_file)?;
-    if array.ncols() != COLUMNS {
-        let reason = format!("rows of {} numbers instead of {COLUMNS}", array.ncols());
+    let length = fs::metadata(file).map_err(PosesError::io(file))?.len();
+    if length > LARGEST {
+        let reason = format!("{length} bytes, more than any capture has cameras for");
         return Err(bad_file(reason));
     }
-    let rows = array.rows().into_iter().map(|row| camera(&row.to_vec()));
-    let rows: Vec<_> = rows.collect();
+    let bytes = fs::read(file).map_err(PosesError::io(file))?;
+    let table = Table::parse(&bytes).map_err(|reason| {
+        bad_file(format!(
+            "{reason}; save rows of {COLUMNS} numbers by numpy.save"
+        ))
+    })?;
+    if table.columns != COLUMNS {
+        let reason = format!("rows of {} numbers instead of {COLUMNS}", table.columns);
+        return Err(bad_file(reason));
+    }
+    let rows: Vec<_> = table.rows().map(camera).collect();
     match rows.iter().position(Result::is_ok) {
         None if !rows.is_empty() => {
             let first = rows.into_iter().find_map(Result::err).unwrap_or_default();
             Err(bad_file(format!("no row is a camera; row 0 {first}")))
         }
         _ => Ok(rows),
-    }
-}
-
-/// The array of either width.
-fn numbers(bytes: &[u8]) -> Result<Array2<f64>, String> {
-    match ArrayView2::<f64>::view_npy(bytes) {
-        Ok(array) => Ok(array.to_owned()),
-        Err(ViewNpyError::WrongDescriptor(_)) => match ArrayView2::<f32>::view_npy(bytes) {
-            Ok(array) => Ok(array.mapv(f64::from)),
-            Err(error) => Err(told(&error)),
-        },
-        Err(error) => Err(told(&error)),
-    }
-}
-
-fn told(error: &ViewNpyError) -> String {
-    let what = match error {
-        ViewNpyError::WrongDescriptor(_) => {
-            "its numbers are neither float64 nor float32".to_owned()
-        }
-        ViewNpyError::NonNativeEndian => format!("its rows of {COLUMNS} numbers are big-endian"),
-        ViewNpyError::MissingBytes(_) => "it is cut short".to_owned(),
-        _ => format!("it is no array of rows of {COLUMNS} numbers"),
-    };
-    format!("{what}; save it anew as float64 by numpy.save")
-}
-
-/// Whether the header is as long as it says it is. Who reads it takes memory for that first.
-fn holds_its_header(bytes: &[u8]) -> bool {
-    let (start, length) = match bytes.get(6) {
-        Some(1) => (10, bytes.get(8..10)),
-        _ => (12, bytes.get(8..12)),
-    };
-    let Some(length) = length else { return false };
-    let length = length
-        .iter()
-        .rev()
-        .fold(0, |sum, byte| sum * 256 + usize::from(*byte));
-    start + length <= bytes.len()
-}
-
-/// A file where its numbers can be read from where they lie: what its header says of their count
-/// takes no memory.
-struct Aligned {
-    words: Vec<u64>,
-    length: usize,
-}
-
-impl Aligned {
-    fn read(path: &Path) -> Result<Self, PosesError> {
-        let mut file = File::open(path).map_err(PosesError::io(path))?;
-        let length = file.metadata().map_err(PosesError::io(path))?.len();
-        if length > LARGEST {
-            let reason = format!("{length} bytes, more than any capture has cameras for");
-            return Err(PosesError::bad_file(path, reason));
-        }
-        let length = length as usize;
-        let mut words = vec![0; length.div_ceil(size_of::<u64>())];
-        let bytes = &mut bytemuck::cast_slice_mut(&mut words)[..length];
-        file.read_exact(bytes).map_err(PosesError::io(path))?;
-        Ok(Self { words, length })
-    }
-}
-
-impl AsRef<[u8]> for Aligned {
-    fn as_ref(&self) -> &[u8] {
-        &bytemuck::cast_slice(&self.words)[..self.length]
     }
 }
 
@@ -170,8 +106,8 @@ fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
 /// # Errors
 /// [`PosesError::BadFile`] when the file cannot be written.
 pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), PosesError> {
-    let mut array = Array2::zeros((rows.len(), COLUMNS));
-    for (mut row, BoundedCamera { camera, near, far }) in array.rows_mut().into_iter().zip(rows) {
+    let mut values = vec![0.0; rows.len() * COLUMNS];
+    for (row, BoundedCamera { camera, near, far }) in values.chunks_exact_mut(COLUMNS).zip(rows) {
         let axes = camera.rotation().transpose();
         let k = &camera.intrinsics;
         let size = DVec3::new(k.height as f64, k.width as f64, k.fx);
@@ -191,7 +127,11 @@ pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), Pos
         }
         (row[15], row[16]) = (*near, *far);
     }
-    ndarray_npy::write_npy(file, &array).map_err(|e| PosesError::bad_file(file, e.to_string()))
+    let table = Table {
+        columns: COLUMNS,
+        values,
+    };
+    fs::write(file, table.to_bytes()).map_err(PosesError::io(file))
 }
 
 #[cfg(test)]
@@ -242,15 +182,12 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &[row()]).unwrap();
-        let array: Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
-        let down = DVec3::new(array[[0, 0]], array[[0, 5]], array[[0, 10]]);
-        let backward = DVec3::new(array[[0, 2]], array[[0, 7]], array[[0, 12]]);
+        let written = Table::parse(&fs::read(&file).unwrap()).unwrap().values;
+        let down = DVec3::new(written[0], written[5], written[10]);
+        let backward = DVec3::new(written[2], written[7], written[12]);
         assert!((down - row().camera.down()).length() < 1e-12);
         assert!((backward + row().camera.forward()).length() < 1e-12);
-        assert_eq!(
-            (array[[0, 4]], array[[0, 9]], array[[0, 14]]),
-            (180.0, 320.0, 277.0)
-        );
+        assert_eq!((written[4], written[9], written[14]), (180.0, 320.0, 277.0));
     }
 
     #[test]
@@ -258,9 +195,9 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &[row()]).unwrap();
-        let good = std::fs::read(&file).unwrap();
+        let good = fs::read(&file).unwrap();
         let refused = |bytes: &[u8]| {
-            std::fs::write(&file, bytes).unwrap();
+            fs::write(&file, bytes).unwrap();
             read_poses_bounds(&file).is_err()
         };
         assert!(!refused(&good));
@@ -287,18 +224,22 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &[row()]).unwrap();
-        let mut array: Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
+        let mut table = Table::parse(&fs::read(&file).unwrap()).unwrap();
         for line in 0..3 {
-            array[[0, 5 * line]] *= -1.0;
+            table.values[5 * line] *= -1.0;
         }
-        ndarray_npy::write_npy(&file, &array).unwrap();
+        fs::write(&file, table.to_bytes()).unwrap();
         assert!(
             read_poses_bounds(&file)
                 .unwrap_err()
                 .to_string()
                 .contains("row 0")
         );
-        ndarray_npy::write_npy(&file, &Array2::<f64>::zeros((2, 15))).unwrap();
+        let narrow = Table {
+            columns: 15,
+            values: vec![0.0; 30],
+        };
+        fs::write(&file, narrow.to_bytes()).unwrap();
         let message = read_poses_bounds(&file).unwrap_err().to_string();
         assert!(
             message.contains("15") && message.starts_with("poses_bounds.npy:"),
