@@ -101,7 +101,7 @@ both("the form of a new job has the options of its preset, and sends those that 
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     assert.equal(await size.inputValue(), "280");
     await page.getByLabel("Rounds", { exact: true }).fill("3");
-    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
     await page.getByLabel("Name").fill(`with options ${width}`);
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), `with options ${width}`);
@@ -144,7 +144,7 @@ both("what is chosen is shown, with what is wrong with it, before anything is se
   stand.visit("chosen", "", async (page) => {
     const sent = [];
     page.on("request", (request) => request.method() !== "GET" && sent.push(request.url()));
-    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
     const row = (name) => page.locator(".files li", { hasText: name });
     const image = row("images/000.png").locator("img");
     await image.scrollIntoViewIfNeeded();

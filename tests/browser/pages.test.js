@@ -289,8 +289,11 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
     assert.deepEqual(await page.locator(".files .path").allTextContents(), ["a.jpg"]);
     await picture(page, `page-dropped-${width}`);
     await button(page, "Remove all").click();
+    await page.getByText("Options", { exact: true }).click();
+    await page.getByLabel("Training steps", { exact: true }).fill("0");
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "Choose photographs");
+    await seen(page.getByRole("alert"), "Training steps: enter a whole number");
   }, width));
 
 both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {
