@@ -132,8 +132,11 @@ both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (wi
 
 both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
   views("novel-wheel", width, async ({ page }) => {
+    const map = page.getByAltText("Cameras and sparse points from above");
     assert.equal(await part(page, "Novel view").count(), 0, "the scene itself turns");
+    assert.equal(await map.count(), 0, "and shows the cameras");
     await withoutWebGl(page);
+    await map.waitFor({ state: "attached" });
     const novel = part(page, "Novel view");
     const frame = novel.getByLabel("Novel view: use the arrow keys to turn");
     await seen(novel, "distance 1.00");
