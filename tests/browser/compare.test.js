@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
+import { duration } from "../../web/lib/dom.js";
 import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
@@ -140,6 +141,8 @@ both("scores stand by round and job, the best of each round is marked", async (w
         HEADS,
         "no column is empty",
       );
+      const { started_at: from, finished_at: to } = await server.job(await stand.finished());
+      await seen(glance.locator("tbody tr").nth(0), duration((Date.parse(to) - Date.parse(from)) / 1000));
       const metrics = part(page, "Metrics by round");
       assert.equal(await metrics.getByRole("table").count(), 0, "what the chart says is not told twice");
       await metrics.getByText("Values by round").first().click();

@@ -16,7 +16,7 @@ import {
   tag,
 } from "./entries.js";
 import { best, cell, points, scores } from "./scores.js";
-import { pill, setBar } from "../lib/state.js";
+import { pill, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { METRICS } from "../lib/words.js";
 
@@ -162,7 +162,7 @@ function overview(entries) {
           delivered(one),
           ...marked.map((score) => score(one)),
           placed(one.report),
-          one.job ? duration(total(one.job)) : "",
+          one.job ? took(one.job) : "",
           note(one),
         ]),
       ),
@@ -217,8 +217,6 @@ const delivered = ({ report, rounds, job }) =>
 const placed = (report) =>
   report?.registered === undefined ? "" : `${report.registered} of ${report.views}`;
 
-const total = (job) => job.stages.reduce((sum, stage) => sum + stage.seconds, 0);
-
 /** Seconds by stage, all rounds together. */
 function timeTable(entries) {
   const there = entries.filter((one) => one.job?.stages.length > 0);
@@ -244,17 +242,15 @@ function timeTable(entries) {
       "tbody",
       {},
       stages.map((name) => line(name, (one) => duration(of(one, name)))),
-      line("Total", (one) => duration(total(one.job))),
     ),
   );
-  const gist = there.map((one) => `${one.letter} ${duration(total(one.job))}`).join(", ");
   return Object.assign(
     h(
       "div",
       { class: "scroll", tabIndex: 0, role: "region", "aria-label": "Time by stage" },
       times,
     ),
-    { gist },
+    { gist: count(stages.length, "stage") },
   );
 }
 

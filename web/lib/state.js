@@ -67,6 +67,14 @@ function elapsed(job) {
 }
 
 /**
+ * From the first attempt to the end; empty before that. Stage times may hold more: those of poses
+ * that an earlier job found.
+ * @param {Job} job
+ */
+export const took = ({ started_at: from, finished_at: to }) =>
+  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
+
+/**
  * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.
  * @param {HTMLProgressElement} bar
  * @param {Job} job

@@ -3,7 +3,7 @@
 import { api, count, duration, h, refill, when } from "../lib/dom.js";
 import { asked, keep } from "../lib/place.js";
 import { selection } from "./selection.js";
-import { doing, isOver, pill, setBar } from "../lib/state.js";
+import { doing, isOver, pill, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { startForm } from "../upload/upload.js";
@@ -90,10 +90,6 @@ const reason = (error) =>
       h("div", {}, h("b", {}, failed(error)), `: ${error.detail}`),
     ),
   );
-
-/** From the first attempt to the end. */
-const took = ({ started_at: from, finished_at: to }) =>
-  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
 
 /** What a job does or waits for. */
 function now(job, known) {
