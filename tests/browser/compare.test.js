@@ -114,15 +114,15 @@ both("what differs is told, and what does not is folded away", async (width) => 
     async (page) => {
       const options = part(page, "Options that differ");
       const rows = await options.locator("table tbody tr").allInnerTexts();
-      assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["rounds", "steps"]);
+      assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["Rounds", "Training"]);
       assert.match(
-        rows.find((text) => text.startsWith("steps")),
+        rows.find((text) => text.startsWith("Training steps")),
         /40\s+60/,
       );
       const folded = options.locator("details");
       assert.equal(await folded.locator("dl").isVisible(), false);
       await folded.getByText(/identical option/).click();
-      await seen(folded.locator("dt"), "shake");
+      await seen(folded.locator("dt"), "Shake");
     },
     width,
   );

@@ -158,7 +158,7 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
     assert.equal(await chart.getByText(label, { exact: true }).count(), 1, label);
 
     await seen(part(page, "Time by stage"), "2 · reconstruct");
-    await seen(part(page, "Details"), "8 of 8 views");
+    await seen(part(page, "Details"), "8 of 8 photographs placed");
     const places = part(page, "Details").locator("details");
     await places.getByText("Positions of the photographs: 8 placed").click();
     assert.equal(await places.locator("tbody tr").count(), 8);

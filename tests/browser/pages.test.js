@@ -242,7 +242,7 @@ both("options are a list and can all be read", async (width) =>
     const { options } = await server.job(await stand.finished());
     const names = facts.locator("details details dt");
     assert.equal(await names.count(), Object.keys(options).length);
-    await seen(names, "pose source");
+    await seen(names, "Camera poses");
   }, width));
 
 both("a word that is one word stays on one line in the list", async (width) => {

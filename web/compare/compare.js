@@ -18,7 +18,7 @@ import {
 import { best, cell, points, scores } from "./scores.js";
 import { pill, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
-import { METRICS } from "../lib/words.js";
+import { METRICS, optionName } from "../lib/words.js";
 
 const REFRESH_MS = 3000;
 /** Options by which scores are of other pictures. */
@@ -104,8 +104,8 @@ function cautions(entries) {
     there.length < 2 ? [] : sorted(there).differing.filter((name) => OTHER_PICTURES.includes(name));
   if (other.length > 0) {
     words.push(
-      `These jobs differ in ${other.map(plain).join(" and ")}, so their scores are not for the ` +
-        "same pictures: small differences mean nothing.",
+      `These jobs differ in ${other.map((key) => optionName(key).toLowerCase()).join(" and ")}: ` +
+        "their scores are for different pictures, and small differences mean nothing.",
     );
   }
   return words;

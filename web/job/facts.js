@@ -1,6 +1,7 @@
 // How a job was run: time by stage, what was used, every option.
 
 import { duration, h, plain } from "../lib/dom.js";
+import { optionName } from "../lib/words.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
 
@@ -18,18 +19,17 @@ export function stageBars(stages) {
 
 export function factList(report) {
   const placed = report.registered === undefined
-    ? null : `${report.registered} of ${report.views} views`;
+    ? null : `${report.registered} of ${report.views}`;
   const list = pairs({
-    registered: placed,
-    "delivered round": report.best_round,
-    shake: shake(report),
-    adapter: report.adapter,
+    "Photographs placed": placed,
+    Shake: shake(report),
+    "Graphics adapter": report.adapter,
     // Each photograph's place has a table of its own.
-    poses: report.poses && without(report.poses, "verdicts"),
-    models: report.models,
-    fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
+    Poses: report.poses && without(report.poses, "verdicts"),
+    Models: report.models,
+    Fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
-  return Object.assign(list, { gist: placed ? `${placed} placed` : "run details" });
+  return Object.assign(list, { gist: placed ? `${placed} photographs placed` : "run details" });
 }
 
 /** What the look at the shake before the rounds came to. */
@@ -52,7 +52,7 @@ function without(values, name) {
  * Every option of a job, one a line.
  * @param {import("fled-api").Job} job
  */
-export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(job.options));
+export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(Object.fromEntries(Object.entries(job.options).map(([key, value]) => [optionName(key), value]).sort())));
 
 /** Names and values; what a value holds is a list of its own. */
 function pairs(values) {

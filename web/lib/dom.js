@@ -125,6 +125,9 @@ export const address = (path) => path.split("/").map(encodeURIComponent).join("/
 /** "held_out" -> "held out". */
 export const plain = (word) => String(word).replaceAll("_", " ");
 
+/** A sentence of ours as nodes: names stand between backticks. */
+export const prose = (text) => text.replaceAll(/\s+/g, " ").split("`").map((part, i) => (i % 2 ? h("code", {}, part) : part));
+
 /** A part of a page under a title; `show` fills and hides it. */
 export function section(title) {
   const node = h("section", { hidden: true }, h("h2", {}, title));
