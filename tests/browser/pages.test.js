@@ -145,7 +145,7 @@ both("photographs that were left out stand on the job's page, with the reason", 
   stand.visit("left-out", `#/jobs/${await stand.finished()}`, async (page) => {
     await seen(part(page, "Photographs"), "8 of 9 photographs used");
     await seen(part(page, "Photographs").locator("li"), /^broken\.jpg: .+/);
-    await part(page, "Photographs").getByRole("link").click();
+    await page.getByRole("link", { name: "View photographs" }).click();
     await seen(part(page, "Photographs").locator("tbody tr").first(), /broken\.jpg.*not used: /);
     assert.equal(await part(page, "Photographs").locator("tbody tr").count(), 9);
   }, width));

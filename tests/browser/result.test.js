@@ -25,8 +25,8 @@ both("a finished job tells what was delivered, and how good it is beside photogr
     assert.match(told[3], /^Total time \d/);
     assert.deepEqual(told.toSpliced(3, 1), [
       "Delivered round 2 of 2",
-      "PSNR 20.50 dB held out; enhanced only 15.50",
-      "SSIM 0.487 held out; enhanced only 0.362",
+      "PSNR 20.50 dB held out; enhanced 15.50",
+      "SSIM 0.487 held out; enhanced 0.362",
       "Photographs used 8 of 9",
     ]);
     await seen(page.locator(".summary code"), id);

@@ -9,12 +9,11 @@ const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", 
 export function stageBars(stages) {
   const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
   const most = Math.max(...rows.map((row) => row.seconds));
-  const longest = rows.find((row) => row.seconds === most);
   const bars = h("div", { class: "bars" }, rows.flatMap((row) => [
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
-  return Object.assign(bars, { gist: `longest: ${longest.stage}, ${duration(most)}` });
+  return Object.assign(bars, { gist: `mostly ${rows.find((row) => row.seconds === most).stage}` });
 }
 
 export function factList(report) {

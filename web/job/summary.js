@@ -41,7 +41,7 @@ function scores(round) {
   const score = (name, key, { digits }, unit = "") => [
     name,
     render && render[key].toFixed(digits) + unit,
-    only && `${render?.split === "train" ? "training views" : "held out"}; enhanced only ${only[key].toFixed(digits)}`,
+    only && `${render?.split === "train" ? "training views" : "held out"}; enhanced ${only[key].toFixed(digits)}`,
   ];
   return [score("PSNR", "psnr_cc_db", METRICS.psnr_cc, " dB"), score("SSIM", "ssim", METRICS.ssim)];
 }

@@ -51,6 +51,5 @@ export function leftOut(capture) {
   return [
     h("p", {}, `${used(capture)}. Not used:`),
     h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
-    h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs in this capture")),
   ];
 }
