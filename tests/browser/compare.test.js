@@ -160,6 +160,9 @@ both("scores stand by round and job, the best of each round is marked", async (w
       await seen(metrics, "One decibel more means an error about a tenth smaller. Higher is better.");
       await metrics.getByText("Noise, time and size").click();
       await seen(metrics, "grain is left in the renders");
+      const cut = await metrics.locator(".tick").evaluateAll((ticks) =>
+        ticks.filter((one) => one.getBBox().x < 0).map((one) => one.textContent));
+      assert.deepEqual(cut, [], "labels that are cut off");
       assert.equal(await metrics.getByText("with the photographs").count(), 0, "no agreement beside the truth");
       await metrics.getByLabel("Scored views").selectOption("train");
       await seen(rows.first(), "21.00");
