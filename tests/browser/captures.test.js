@@ -153,7 +153,7 @@ both("what is chosen is shown, with what is wrong with it, before anything is se
     await seen(row("broken.jpg"), "cannot be read as a picture");
     assert.equal(await row("images/000.png").locator(".bad").textContent(), "");
     await drop(page, ".drop", [["notes.pages", "words"], ["nothing.png", ""]]);
-    await seen(row("notes.pages"), "no photograph; it will not be used");
+    await seen(row("notes.pages"), "not a photograph; it will not be used");
     await seen(row("nothing.png"), "empty file");
     await image.scrollIntoViewIfNeeded();
     assert.ok(await loaded(image), "it is not made anew");

@@ -43,7 +43,7 @@ both("thumbnails are reached by keyboard and put on either side", (width) =>
     await page.keyboard.press("Home");
     await button(root, "right").press("Enter");
     await shots.first().press(" ");
-    await seen(slider.locator(".right"), "dark input");
+    await seen(slider.locator(".right"), "photograph");
     await page.keyboard.press("ArrowDown");
     assert.equal(await shots.first().evaluate((one) => one === document.activeElement), false);
     assert.match(await shots.first().innerText(), /right/);
@@ -164,7 +164,7 @@ both("input and render are shown at the same brightness, and the page says how",
     const filters = () => slider.locator("img").evaluateAll((images) => images.map((image) => image.style.filter));
     assert.deepEqual(await filters(), ["", ""]);
     await root.getByLabel("Match brightness").check();
-    await seen(root.getByRole("status"), /^dark input is brightened × \d+\.\d to match the other side/);
+    await seen(root.getByRole("status"), /^photograph is brightened × \d+\.\d to match the other side/);
     const [below, top] = await filters();
     assert.equal(below, "");
     assert.match(top, /^brightness\(\d/);

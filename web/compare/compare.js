@@ -1,7 +1,7 @@
 // Two to six jobs beside each other; the address names them.
 
 import { beside } from "./beside.js";
-import { count, duration, folding, h, nothing, plain, refill, section, show } from "../lib/dom.js";
+import { count, duration, folding, h, nothing, plain, prose, refill, section, show } from "../lib/dom.js";
 import { differences, sorted } from "./differences.js";
 import {
   MOST,
@@ -175,8 +175,8 @@ function overview(entries) {
     });
     const views = split === "held_out" ? "held-out" : "training";
     caption.textContent =
-      "Scores are for renders of the delivered round, or the latest, " +
-      `over the ${views} views.`;
+      `Scores are means over the renders of the ${views} views in the delivered round, ` +
+      "or in the latest if none is delivered.";
     caption.hidden = entries.every((one) => one.rounds.length === 0);
   }
   return { root: h("div", {}, root, caption), update };
@@ -267,6 +267,6 @@ function warningList(entries) {
   return h(
     "ul",
     { class: "bare" },
-    [...found].map(([text, of]) => h("li", {}, of.map(tag), " ", text)),
+    [...found].map(([text, of]) => h("li", {}, of.map(tag), " ", prose(text))),
   );
 }

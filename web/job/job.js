@@ -1,6 +1,6 @@
 // One job, live.
 
-import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "../lib/dom.js";
+import { address, api, count, fold, folding, h, nothing, plain, prose, section, show, size } from "../lib/dom.js";
 import { contents } from "../lib/contents.js";
 import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
@@ -66,7 +66,7 @@ export function jobPage(main, who, id) {
       head.update(job);
       problem.textContent = "";
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
-        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
+        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: `, prose(warning.message)))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
       log?.follow(!isOver(job));
       if (isOver(job)) {

@@ -1,6 +1,6 @@
 // What became of the photographs of a capture.
 
-import { count, h } from "./dom.js";
+import { count, h, prose } from "./dom.js";
 import { told } from "./table.js";
 
 const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
@@ -38,7 +38,7 @@ export function photographs(capture) {
  */
 export function captureWarnings(capture) {
   if (capture.warnings.length === 0) return null;
-  return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, warning.message)));
+  return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, prose(warning.message))));
 }
 
 /**

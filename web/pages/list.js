@@ -183,8 +183,8 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
     : `the ${jobs.length.toLocaleString()} newest ${of}`;
   if (!q && !preset) return isAll ? `${all}.` : `Showing ${all}.`;
   const rest = isAll ? "" : " Older jobs were not searched.";
-  const some = found === 0 ? "None" : found.toLocaleString();
-  return `${some} of ${all} ${found > 1 ? "match" : "matches"}.${rest}`;
+  const some = found === 0 ? "No" : found.toLocaleString();
+  return `${some} ${found === 1 ? "match" : "matches"} among ${all}.${rest}`;
 }
 
 export function listPage(main) {
@@ -254,7 +254,7 @@ export function listPage(main) {
     } catch (error) {
       if (gone || mine !== asks) return;
       list.hidden = false;
-      const rest = had.jobs.length > 0 ? "This list is from before." : "Jobs appear when it answers.";
+      const rest = had.jobs.length > 0 ? "This list may be out of date." : "Jobs appear when it responds.";
       problem.textContent = `${error.message} ${rest}`;
     }
     if (!gone && mine === asks) timer = setTimeout(refresh, wanted > MOST ? MANY_MS : REFRESH_MS);

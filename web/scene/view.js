@@ -27,7 +27,7 @@ const LONGEST_STEP = 100;
 /** How far back one begins before points, of the way to the middle. */
 const BACK = 1.7;
 const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
-  + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape lets go.";
+  + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape returns the wheel and the keys to the page.";
 /** Where a thumb is: above the lower edge of the picture. */
 const UNTOUCHED = "Tap to move through the scene";
 const FINGERS = "One finger turns, two pan and zoom. Tap beside the picture to scroll the page.";
