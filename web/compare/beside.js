@@ -55,7 +55,7 @@ export function beside() {
 
   const find = (id) => entries.find((one) => one.id === id);
 
-  /** What the address asks for, the first time. */
+  /** Begins as the address says. */
   function begin() {
     begun = true;
     const wanted = asked();

@@ -88,7 +88,7 @@ const isOneCapture = (entries) =>
 
 const scored = (entries) => entries.filter((one) => one.rounds.length > 0);
 
-/** What one must know before one compares. */
+/** Reasons to be careful with a comparison. */
 function cautions(entries) {
   const words = [];
   if (!isOneCapture(entries)) {
@@ -167,7 +167,7 @@ function overview(entries) {
         ]),
       ),
     );
-    // What no job has would be an empty column.
+    // A value that no job has would be an empty column.
     COLUMNS.forEach((_, i) => {
       const cells = [...root.tBodies[0].rows].map((one) => one.cells[i]);
       for (const one of [root.tHead.rows[0].cells[i], ...cells])

@@ -31,7 +31,7 @@ export function factList(report) {
   return Object.assign(list, { gist: placed ? `${placed} photographs placed` : "run details" });
 }
 
-/** What the look at the shake before the rounds came to. */
+/** The verdict on shake before the rounds. */
 function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
   const ways = {

@@ -56,7 +56,7 @@ export function videos(id, isVisitor) {
     try {
       await api(`${base}/${video.id}`, { method: "DELETE" });
       await look();
-      // What had the focus is gone.
+      // The element that had the focus is gone.
       button.focus();
     } catch (error) {
       problem.textContent = error.message;

@@ -22,7 +22,7 @@ export function comparison(job) {
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
-  // What is compared, by kind: kept when another view is chosen.
+  // Kinds of the compared pictures: kept when another view is chosen.
   const sides = { left: "inputs", right: null };
   let [all, drawn] = [[], 0];
   choice.addEventListener("change", rebuild);

@@ -1,4 +1,4 @@
-// What became of the photographs of a capture.
+// The verdicts on the photographs of a capture.
 
 import { count, h, prose } from "./dom.js";
 import { told } from "./table.js";
@@ -33,7 +33,7 @@ export function photographs(capture) {
 }
 
 /**
- * What is worth knowing of all of them.
+ * Warnings about all of them.
  * @param {Capture} capture
  */
 export function captureWarnings(capture) {

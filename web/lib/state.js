@@ -1,4 +1,4 @@
-// What a job does, in words.
+// A job's state in words.
 
 import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
 
@@ -20,7 +20,7 @@ export const stateWord = (job) => (job.cancel_requested && job.state === "runnin
 export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWord(job));
 
 /**
- * What a job does now, in a few words.
+ * The present activity of a job, in a few words.
  * @param {Job} job
  */
 export function doing(job) {

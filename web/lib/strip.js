@@ -179,7 +179,7 @@ export function thumbnails(chosen, slider) {
   return {
     root,
     fill(pictures) {
-      // What is there already is not fetched again.
+      // Pictures that are there already are not fetched again.
       const now = JSON.stringify(pictures);
       if (now === known) return;
       known = now;

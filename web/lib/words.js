@@ -151,7 +151,7 @@ export function meanings(keys) {
 export const direction = ({ better }) =>
   better ? `${better === "higher" ? "Higher" : "Lower"} is better.` : "";
 
-/** What a failure's code means, and what one does about it. */
+/** Meaning of a failure's code, and the way out of it. */
 const FAILURES = {
   bad_input: [
     "a photograph or an option cannot be used",
@@ -200,5 +200,5 @@ const FAILURES = {
 /** A failure in a few words. */
 export const failed = ({ code }) => FAILURES[code]?.[0] ?? String(code).replaceAll("_", " ");
 
-/** What it means and what to do: a sentence or two; none for a code that is new. */
+/** Its meaning and the way out: a sentence or two; none for a code that is new. */
 export const advice = ({ code }) => FAILURES[code]?.[1] ?? "";

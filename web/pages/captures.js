@@ -1,4 +1,4 @@
-// What was uploaded.
+// The list of captures.
 
 import { api, count, h, refill, when } from "../lib/dom.js";
 import { rejected } from "../lib/photographs.js";

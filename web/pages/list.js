@@ -91,7 +91,7 @@ const reason = (error) =>
     ),
   );
 
-/** What a job does or waits for. */
+/** The activity of a job, or its wait. */
 function now(job, known) {
   if (job.state === "queued") return waits(job, known);
   const left =
@@ -114,7 +114,7 @@ function waits(job, known) {
   return job.waits_for ? `${behind}; needs ${job.waits_for}` : behind;
 }
 
-/** What is searched for: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
+/** The search: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
 function filters(changed) {
   const wanted = asked();
   const search = h("input", {

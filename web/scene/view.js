@@ -51,7 +51,7 @@ export async function openScene(place, { job, name, scenes, first, start, ended 
   return view;
 }
 
-/** What one sees, in a sentence. */
+/** The content of a scene, in a sentence. */
 function told({ isPoints }, content) {
   if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
   const points = count(content.count, "sparse point");

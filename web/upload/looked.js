@@ -2,12 +2,12 @@
 
 import { h } from "../lib/dom.js";
 
-/** What the server reads; of these the browser shows the first. */
+/** The server reads both; the browser shows the first. */
 const SHOWN = /\.(jpe?g|jfif|mpo|png|webp)$/i;
 const READ = /\.(tiff?|heic|heif|hif|zip|mp4|mov|m4v)$/i;
 /** Of a photograph in which something can be found again, longest side, px. */
 const LEAST = 64;
-/** What comes with photographs: poses and models. */
+/** Files beside photographs: poses and models. */
 const BESIDE = /\.(json|npy|txt|bin|csv)$/i;
 
 /** `{ picture, fault }` of a file: a thumbnail, and a place for what is wrong with it. */

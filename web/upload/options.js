@@ -160,7 +160,7 @@ function field(form, key, property) {
     if (text === "") return usual;
     return number && Number.isFinite(Number(text)) ? Number(text) : text;
   }
-  /** What is wrong with it, in a sentence, by the schema. */
+  /** Its fault by the schema, in a sentence. */
   function wrong() {
     if (!number || (input.value.trim() === "" && !input.validity.badInput)) return "";
     const now = Number(input.value);
@@ -174,7 +174,7 @@ function field(form, key, property) {
   function mark() {
     root.classList.toggle("changed", differs());
     const chosen = words?.find(([word]) => word === input.value)?.[1];
-    // What follows is for those who know the paper.
+    // The rest is for those who know the paper.
     const [about] = (chosen ?? "").split("Differs from the paper");
     meaning.replaceChildren(...(about ? [h("b", {}, plain(input.value)), ": ", ...prose(about)] : []));
   }

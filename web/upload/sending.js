@@ -177,7 +177,7 @@ export function sending(files, tell) {
   return { done: all().finally(() => removeEventListener("online", wakeAll)), stop };
 }
 
-/** What an answer says that is none wanted. */
+/** The refusal in an answer. */
 function refusal(request) {
   let problem = null;
   try {

@@ -72,7 +72,7 @@ export function startForm() {
     button.disabled = false;
   }
 
-  /** What has come stays with the server, and goes on when the same files are chosen. */
+  /** The server keeps the pieces it has, and the upload goes on when the same files are chosen. */
   function leave() {
     gone = true;
     run?.stop();
@@ -163,7 +163,7 @@ function upload(files, fields, show) {
       begun.forget(files);
       return made;
     } catch (error) {
-      // What is gone on the server is sent anew the next time.
+      // Uploads that the server has lost are sent anew the next time.
       if (error.status === 404) begun.forget(files);
       throw withRejected(error);
     }
