@@ -19,7 +19,7 @@ const none = () => {};
 let leave = none;
 let isLockedOut = false;
 /**
- * Who this browser is.
+ * This browser's session.
  * @type {import("fled-api").Session}
  */
 let who = { needed: false, scopes: null, job: null };
@@ -53,7 +53,7 @@ function route() {
   }
   leave = special() ?? leave;
   if (leave !== none) return;
-  // What is behind `?` is the page's own.
+  // The part behind `?` is the page's own.
   const [path] = location.hash.split("?");
   for (const [pattern, page] of ROUTES) {
     const found = path.match(pattern);
@@ -71,7 +71,7 @@ function special() {
   if (shared) return openLink(main, shared, enter);
   if (location.hash === "#/api") return null;
   if (isLockedOut) return loginPage(main, enter);
-  // Who came by a link to a job sees that job wherever they go.
+  // A visitor by a link to a job sees that job at every address.
   return who.job === null ? null : jobPage(main, who, who.job);
 }
 

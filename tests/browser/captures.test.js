@@ -42,14 +42,14 @@ both("a finished job is run again with other options from its page", async (widt
     const form = await again(page, "40");
     assert.equal(await form.getByLabel("Preset").inputValue(), "preview");
     await form.getByLabel("Training steps", { exact: true }).fill("50");
-    await form.getByLabel("Place photographs later", { exact: true }).uncheck();
+    await form.getByLabel("Place missing photographs later", { exact: true }).uncheck();
     await form.getByText("Expert options").click();
     await form.getByLabel("Random seed", { exact: true }).fill("7");
     assert.deepEqual(await form.locator("legend").allInnerTexts(), ["Result", "Speed", "Poses"]);
     for (const name of ["Adapter", "Noise", "Enhance", "Lut scope"]) {
       assert.equal(await form.getByLabel(name, { exact: true }).count(), 0, name);
     }
-    await seen(form, "As in that job: adapter ok.");
+    await seen(form, "Kept from that job: Adapter “ok”.");
     await picture(page, `page-options-${width}`);
     await form.getByLabel("Name").fill(`again ${width}`);
     await button(form, "Run").click();
@@ -83,12 +83,12 @@ both("what the server says of an option stands at its field, which has the focus
     page.on("request", (request) => request.method() === "POST" && asked.push(request.url()));
     await form.getByLabel("Training steps", { exact: true }).fill("0");
     await form.getByLabel("Random seed", { exact: true }).fill("1.5");
-    await form.getByLabel("Image size, px", { exact: true }).fill("9000");
+    await form.getByLabel("Image size", { exact: true }).fill("9000");
     await button(form, "Run").click();
     await seen(form.getByRole("alert"), "Training steps: enter a whole number from 1 to 200,000.");
     await seen(form.getByRole("alert"), "Random seed: enter a whole number from 0.");
-    await seen(form.getByRole("alert"), "Image size, px: enter a whole number from 64 to 4,096.");
-    assert.equal(await form.getByLabel("Image size, px", { exact: true }).evaluate((node) => node === document.activeElement), true);
+    await seen(form.getByRole("alert"), "Image size: enter a whole number from 64 to 4,096.");
+    assert.equal(await form.getByLabel("Image size", { exact: true }).evaluate((node) => node === document.activeElement), true);
     assert.deepEqual(asked, []);
     await picture(page, `page-bad-options-${width}`);
   }, width));
@@ -96,12 +96,12 @@ both("what the server says of an option stands at its field, which has the focus
 both("the form of a new job has the options of its preset, and sends those that differ", async (width) =>
   stand.visit("new-options", "", async (page) => {
     await page.getByText("Options", { exact: true }).click();
-    const size = page.getByLabel("Image size, px", { exact: true });
+    const size = page.getByLabel("Image size", { exact: true });
     await until("standard", async () => (await size.inputValue()) === "560");
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     assert.equal(await size.inputValue(), "280");
     await page.getByLabel("Rounds", { exact: true }).fill("3");
-    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
     await page.getByLabel("Name").fill(`with options ${width}`);
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), `with options ${width}`);
@@ -144,7 +144,7 @@ both("what is chosen is shown, with what is wrong with it, before anything is se
   stand.visit("chosen", "", async (page) => {
     const sent = [];
     page.on("request", (request) => request.method() !== "GET" && sent.push(request.url()));
-    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
     const row = (name) => page.locator(".files li", { hasText: name });
     const image = row("images/000.png").locator("img");
     await image.scrollIntoViewIfNeeded();
@@ -153,7 +153,7 @@ both("what is chosen is shown, with what is wrong with it, before anything is se
     await seen(row("broken.jpg"), "cannot be read as a picture");
     assert.equal(await row("images/000.png").locator(".bad").textContent(), "");
     await drop(page, ".drop", [["notes.pages", "words"], ["nothing.png", ""]]);
-    await seen(row("notes.pages"), "no photograph; it will not be used");
+    await seen(row("notes.pages"), "not a photograph; it will not be used");
     await seen(row("nothing.png"), "empty file");
     await image.scrollIntoViewIfNeeded();
     assert.ok(await loaded(image), "it is not made anew");

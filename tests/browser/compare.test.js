@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
+import { duration } from "../../web/lib/dom.js";
 import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
@@ -113,15 +114,15 @@ both("what differs is told, and what does not is folded away", async (width) => 
     async (page) => {
       const options = part(page, "Options that differ");
       const rows = await options.locator("table tbody tr").allInnerTexts();
-      assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["rounds", "steps"]);
+      assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["Rounds", "Training"]);
       assert.match(
-        rows.find((text) => text.startsWith("steps")),
+        rows.find((text) => text.startsWith("Training steps")),
         /40\s+60/,
       );
       const folded = options.locator("details");
       assert.equal(await folded.locator("dl").isVisible(), false);
       await folded.getByText(/identical option/).click();
-      await seen(folded.locator("dt"), "shake");
+      await seen(folded.locator("dt"), "Shake");
     },
     width,
   );
@@ -140,6 +141,8 @@ both("scores stand by round and job, the best of each round is marked", async (w
         HEADS,
         "no column is empty",
       );
+      const { started_at: from, finished_at: to } = await server.job(await stand.finished());
+      await seen(glance.locator("tbody tr").nth(0), duration((Date.parse(to) - Date.parse(from)) / 1000));
       const metrics = part(page, "Metrics by round");
       assert.equal(await metrics.getByRole("table").count(), 0, "what the chart says is not told twice");
       await metrics.getByText("Values by round").first().click();
@@ -157,6 +160,9 @@ both("scores stand by round and job, the best of each round is marked", async (w
       await seen(metrics, "One decibel more means an error about a tenth smaller. Higher is better.");
       await metrics.getByText("Noise, time and size").click();
       await seen(metrics, "grain is left in the renders");
+      const cut = await metrics.locator(".tick").evaluateAll((ticks) =>
+        ticks.filter((one) => one.getBBox().x < 0).map((one) => one.textContent));
+      assert.deepEqual(cut, [], "labels that are cut off");
       assert.equal(await metrics.getByText("with the photographs").count(), 0, "no agreement beside the truth");
       await metrics.getByLabel("Scored views").selectOption("train");
       await seen(rows.first(), "21.00");

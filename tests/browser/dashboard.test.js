@@ -97,7 +97,7 @@ test("an upload that is refused says why, and another can be tried", () =>
   browser.visit("upload-refused", "", async (page, faults) => {
     const path = join(server.folder, "notes.jpg");
     writeFileSync(path, "no photograph");
-    await page.getByLabel("Photographs, a ZIP file or a video").setInputFiles(path);
+    await page.getByLabel("Choose files").setInputFiles(path);
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "notes.jpg");
     await until("the button can be pressed", () => button(page, "Start").isEnabled());
@@ -108,7 +108,7 @@ test("an upload that is refused says why, and another can be tried", () =>
 
 test("a folder that is chosen on the page becomes a job, which is cancelled", () =>
   browser.visit("uploaded", "", async (page) => {
-    await page.getByLabel("or a folder").setInputFiles(capture);
+    await page.getByLabel("Choose a folder").setInputFiles(capture);
     await page.getByLabel("Name").fill(UPLOADED);
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     await button(page, "Start").click();
@@ -158,7 +158,7 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
     assert.equal(await chart.getByText(label, { exact: true }).count(), 1, label);
 
     await seen(part(page, "Time by stage"), "2 · reconstruct");
-    await seen(part(page, "Details"), "8 of 8 views");
+    await seen(part(page, "Details"), "8 of 8 photographs placed");
     const places = part(page, "Details").locator("details");
     await places.getByText("Positions of the photographs: 8 placed").click();
     assert.equal(await places.locator("tbody tr").count(), 8);

@@ -64,11 +64,11 @@ both("jobs are searched and filtered, and the address keeps how", async (width) 
       await shows(page, [FINISHED, FAILED]);
       await page.getByLabel("Search").fill("FAILED (");
       await shows(page, [FAILED]);
-      await seen(page.getByRole("status"), "1 of 2 jobs matches.");
+      await seen(page.getByRole("status"), "1 match among 2 jobs.");
       assert.equal(new URL(page.url()).hash, "#/?q=FAILED+%28");
       await page.getByLabel("State").selectOption("succeeded");
       await shows(page, []);
-      await seen(page.getByRole("status"), "None of 1 succeeded job matches.");
+      await seen(page.getByRole("status"), "No matches among 1 succeeded job.");
       await picture(page, `page-search-${width}`);
       await button(page, "Show all jobs").click();
       await shows(page, [FINISHED, FAILED]);
@@ -144,13 +144,13 @@ test("older jobs come by the API's pages, and the page says what it searched", (
     await page.getByLabel("Search").fill("job 77");
     await seen(
       page.getByRole("status"),
-      "None of the 50 newest jobs matches. Older jobs were not searched.",
+      "No matches among the 50 newest jobs. Older jobs were not searched.",
     );
     await button(page, "Search 50 older jobs").click();
     await shows(page, ["job 77"]);
     await seen(
       page.getByRole("status"),
-      "1 of the 100 newest jobs matches. Older jobs were not searched.",
+      "1 match among the 100 newest jobs. Older jobs were not searched.",
     );
     await page.getByLabel("Search").fill("");
     for (let known = 150; known <= 250; known += 50) {
@@ -234,8 +234,8 @@ const SOON = 5000;
 
 both("a server that is gone is told in the header and in the lists, until it answers again", async (width) => {
   for (const [name, words] of [
-    ["jobs", "Jobs appear when it answers."],
-    ["captures", "Captures appear when it answers."],
+    ["jobs", "Jobs appear when it responds."],
+    ["captures", "Captures appear when it responds."],
   ]) {
     await stand.visit(
       `gone-${name}`,

@@ -145,7 +145,7 @@ both("photographs that were left out stand on the job's page, with the reason", 
   stand.visit("left-out", `#/jobs/${await stand.finished()}`, async (page) => {
     await seen(part(page, "Photographs"), "8 of 9 photographs used");
     await seen(part(page, "Photographs").locator("li"), /^broken\.jpg: .+/);
-    await part(page, "Photographs").getByRole("link").click();
+    await page.getByRole("link", { name: "View photographs" }).click();
     await seen(part(page, "Photographs").locator("tbody tr").first(), /broken\.jpg.*not used: /);
     assert.equal(await part(page, "Photographs").locator("tbody tr").count(), 9);
   }, width));
@@ -242,7 +242,7 @@ both("options are a list and can all be read", async (width) =>
     const { options } = await server.job(await stand.finished());
     const names = facts.locator("details details dt");
     assert.equal(await names.count(), Object.keys(options).length);
-    await seen(names, "pose source");
+    await seen(names, "Camera poses");
   }, width));
 
 both("a word that is one word stays on one line in the list", async (width) => {
@@ -289,8 +289,11 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
     assert.deepEqual(await page.locator(".files .path").allTextContents(), ["a.jpg"]);
     await picture(page, `page-dropped-${width}`);
     await button(page, "Remove all").click();
+    await page.getByText("Options", { exact: true }).click();
+    await page.getByLabel("Training steps", { exact: true }).fill("0");
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "Choose photographs");
+    await seen(page.getByRole("alert"), "Training steps: enter a whole number");
   }, width));
 
 both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {

@@ -43,7 +43,7 @@ both("thumbnails are reached by keyboard and put on either side", (width) =>
     await page.keyboard.press("Home");
     await button(root, "right").press("Enter");
     await shots.first().press(" ");
-    await seen(slider.locator(".right"), "dark input");
+    await seen(slider.locator(".right"), "photograph");
     await page.keyboard.press("ArrowDown");
     assert.equal(await shots.first().evaluate((one) => one === document.activeElement), false);
     assert.match(await shots.first().innerText(), /right/);
@@ -132,8 +132,11 @@ both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (wi
 
 both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
   views("novel-wheel", width, async ({ page }) => {
+    const map = page.getByAltText("Cameras and sparse points from above");
     assert.equal(await part(page, "Novel view").count(), 0, "the scene itself turns");
+    assert.equal(await map.count(), 0, "and shows the cameras");
     await withoutWebGl(page);
+    await map.waitFor({ state: "attached" });
     const novel = part(page, "Novel view");
     const frame = novel.getByLabel("Novel view: use the arrow keys to turn");
     await seen(novel, "distance 1.00");
@@ -161,7 +164,7 @@ both("input and render are shown at the same brightness, and the page says how",
     const filters = () => slider.locator("img").evaluateAll((images) => images.map((image) => image.style.filter));
     assert.deepEqual(await filters(), ["", ""]);
     await root.getByLabel("Match brightness").check();
-    await seen(root.getByRole("status"), /^dark input is brightened × \d+\.\d to match the other side/);
+    await seen(root.getByRole("status"), /^photograph is brightened × \d+\.\d to match the other side/);
     const [below, top] = await filters();
     assert.equal(below, "");
     assert.match(top, /^brightness\(\d/);

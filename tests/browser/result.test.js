@@ -22,11 +22,11 @@ both("a finished job tells what was delivered, and how good it is beside photogr
   await stand.visit("summary", `#/jobs/${id}`, async (page) => {
     await page.locator(".summary").waitFor();
     const told = words(await facts(page));
-    assert.match(told[3], /^Time in all \d/);
+    assert.match(told[3], /^Total time \d/);
     assert.deepEqual(told.toSpliced(3, 1), [
       "Delivered round 2 of 2",
-      "PSNR 20.50 dB held out; enhanced only 15.50",
-      "SSIM 0.487 held out; enhanced only 0.362",
+      "PSNR 20.50 dB held out; enhanced 15.50",
+      "SSIM 0.487 held out; enhanced 0.362",
       "Photographs used 8 of 9",
     ]);
     await seen(page.locator(".summary code"), id);

@@ -77,7 +77,7 @@ both("videos that are made, wait and failed say so, and one is cancelled", async
     await button(running, "Cancel").click();
     await running.waitFor({ state: "detached" });
     await section.locator("video").waitFor();
-    await seen(section, "The video could not be made: ffmpeg wrote no video: planned for video.mp4");
+    await seen(section, "The video could not be created: ffmpeg wrote no video: planned for video.mp4");
     assert.equal(await section.locator("li").count(), 2);
   }, width);
 });

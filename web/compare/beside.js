@@ -7,10 +7,10 @@ import { split } from "../lib/split.js";
 import { thumbnails } from "../lib/strip.js";
 
 const KINDS = [
-  ["inputs", "dark input"],
+  ["inputs", "photograph"],
   ["enhanced", "enhanced"],
   ["deblurred", "deblurred"],
-  ["renders", "render"],
+  ["renders", "rendered"],
   ["gt", "ground truth"],
 ];
 const hasRounds = (kind) => kind !== "inputs" && kind !== "gt";
@@ -55,7 +55,7 @@ export function beside() {
 
   const find = (id) => entries.find((one) => one.id === id);
 
-  /** What the address asks for, the first time. */
+  /** Begins as the address says. */
   function begin() {
     begun = true;
     const wanted = asked();

@@ -1,7 +1,7 @@
 // Two to six jobs beside each other; the address names them.
 
 import { beside } from "./beside.js";
-import { count, duration, folding, h, nothing, plain, refill, section, show } from "../lib/dom.js";
+import { count, duration, folding, h, nothing, plain, prose, refill, section, show } from "../lib/dom.js";
 import { differences, sorted } from "./differences.js";
 import {
   MOST,
@@ -16,9 +16,9 @@ import {
   tag,
 } from "./entries.js";
 import { best, cell, points, scores } from "./scores.js";
-import { pill, setBar } from "../lib/state.js";
+import { pill, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
-import { METRICS } from "../lib/words.js";
+import { METRICS, optionName } from "../lib/words.js";
 
 const REFRESH_MS = 3000;
 /** Options by which scores are of other pictures. */
@@ -88,7 +88,7 @@ const isOneCapture = (entries) =>
 
 const scored = (entries) => entries.filter((one) => one.rounds.length > 0);
 
-/** What one must know before one compares. */
+/** Reasons to be careful with a comparison. */
 function cautions(entries) {
   const words = [];
   if (!isOneCapture(entries)) {
@@ -104,8 +104,8 @@ function cautions(entries) {
     there.length < 2 ? [] : sorted(there).differing.filter((name) => OTHER_PICTURES.includes(name));
   if (other.length > 0) {
     words.push(
-      `These jobs differ in ${other.map(plain).join(" and ")}, so their scores are not for the ` +
-        "same pictures: small differences mean nothing.",
+      `These jobs differ in ${other.map((key) => optionName(key).toLowerCase()).join(" and ")}: ` +
+        "their scores are for different pictures, and small differences mean nothing.",
     );
   }
   return words;
@@ -162,12 +162,12 @@ function overview(entries) {
           delivered(one),
           ...marked.map((score) => score(one)),
           placed(one.report),
-          one.job ? duration(total(one.job)) : "",
+          one.job ? took(one.job) : "",
           note(one),
         ]),
       ),
     );
-    // What no job has would be an empty column.
+    // A value that no job has would be an empty column.
     COLUMNS.forEach((_, i) => {
       const cells = [...root.tBodies[0].rows].map((one) => one.cells[i]);
       for (const one of [root.tHead.rows[0].cells[i], ...cells])
@@ -175,8 +175,8 @@ function overview(entries) {
     });
     const views = split === "held_out" ? "held-out" : "training";
     caption.textContent =
-      "Scores are for renders of the delivered round, or the latest, " +
-      `over the ${views} views.`;
+      `Scores are means over the renders of the ${views} views in the delivered round, ` +
+      "or in the latest if none is delivered.";
     caption.hidden = entries.every((one) => one.rounds.length === 0);
   }
   return { root: h("div", {}, root, caption), update };
@@ -217,8 +217,6 @@ const delivered = ({ report, rounds, job }) =>
 const placed = (report) =>
   report?.registered === undefined ? "" : `${report.registered} of ${report.views}`;
 
-const total = (job) => job.stages.reduce((sum, stage) => sum + stage.seconds, 0);
-
 /** Seconds by stage, all rounds together. */
 function timeTable(entries) {
   const there = entries.filter((one) => one.job?.stages.length > 0);
@@ -244,17 +242,15 @@ function timeTable(entries) {
       "tbody",
       {},
       stages.map((name) => line(name, (one) => duration(of(one, name)))),
-      line("Total", (one) => duration(total(one.job))),
     ),
   );
-  const gist = there.map((one) => `${one.letter} ${duration(total(one.job))}`).join(", ");
   return Object.assign(
     h(
       "div",
       { class: "scroll", tabIndex: 0, role: "region", "aria-label": "Time by stage" },
       times,
     ),
-    { gist },
+    { gist: count(stages.length, "stage") },
   );
 }
 
@@ -271,6 +267,6 @@ function warningList(entries) {
   return h(
     "ul",
     { class: "bare" },
-    [...found].map(([text, of]) => h("li", {}, of.map(tag), " ", text)),
+    [...found].map(([text, of]) => h("li", {}, of.map(tag), " ", prose(text))),
   );
 }

@@ -3,13 +3,16 @@
 import { count, h, plain } from "../lib/dom.js";
 import { nameOf, tag } from "./entries.js";
 import { table } from "../lib/table.js";
+import { optionName } from "../lib/words.js";
 
 const written = (value) =>
   value === undefined ? "not recorded" : Array.isArray(value) ? value.join(", ") : String(value);
 
 /** `{ differing, shared }`: names of options, `preset` before them, by whether all jobs agree. */
 export function sorted(jobs) {
-  const names = [...new Set(jobs.flatMap((job) => Object.keys(job.options)))].sort();
+  const names = [...new Set(jobs.flatMap((job) => Object.keys(job.options)))].sort((a, b) =>
+    optionName(a) < optionName(b) ? -1 : 1,
+  );
   const agree = (name) => new Set(jobs.map((job) => written(valueOf(job, name)))).size === 1;
   const all = ["preset", ...names];
   return { differing: all.filter((name) => !agree(name)), shared: all.filter(agree) };
@@ -30,7 +33,7 @@ export function differences(entries) {
     })),
   ];
   const rows = differing.map((name) => [
-    h("b", {}, plain(name)),
+    h("b", {}, optionName(name)),
     ...there.map((one) => plain(written(valueOf(one.job, name)))),
   ]);
   return [
@@ -50,7 +53,7 @@ export function differences(entries) {
           "dl",
           {},
           shared.flatMap((name) => [
-            h("dt", {}, plain(name)),
+            h("dt", {}, optionName(name)),
             h("dd", {}, plain(written(valueOf(there[0].job, name)))),
           ]),
         ),

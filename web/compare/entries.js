@@ -85,7 +85,7 @@ export const tag = (one) =>
 /** As words alone. */
 export const called = (one) => `${one.letter}, ${nameOf(one)}`;
 
-/** What is missing of a job, in a sentence; nothing where all is there. */
+/** A sentence about a job that lacks something; nothing where all is there. */
 export function note({ job, problem, rounds }) {
   if (!job || problem) return problem;
   const had =

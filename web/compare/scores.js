@@ -66,7 +66,7 @@ export function scores() {
   const image = choice("Scored pictures", IMAGES);
   const split = choice(
     "Scored views",
-    SPLITS.map((name) => [name, name === "train" ? "trained on" : plain(name)]),
+    SPLITS.map((name) => [name, name === "train" ? "training" : plain(name)]),
   );
   const body = h("div");
   const root = h(

@@ -1,6 +1,7 @@
 // How a job was run: time by stage, what was used, every option.
 
 import { duration, h, plain } from "../lib/dom.js";
+import { optionName } from "../lib/words.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
 
@@ -8,31 +9,29 @@ const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", 
 export function stageBars(stages) {
   const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
   const most = Math.max(...rows.map((row) => row.seconds));
-  const all = rows.reduce((sum, row) => sum + row.seconds, 0);
   const bars = h("div", { class: "bars" }, rows.flatMap((row) => [
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
-  return Object.assign(bars, { gist: `${duration(all)} in total` });
+  return Object.assign(bars, { gist: `mostly ${rows.find((row) => row.seconds === most).stage}` });
 }
 
 export function factList(report) {
   const placed = report.registered === undefined
-    ? null : `${report.registered} of ${report.views} views`;
+    ? null : `${report.registered} of ${report.views}`;
   const list = pairs({
-    registered: placed,
-    "delivered round": report.best_round,
-    shake: shake(report),
-    adapter: report.adapter,
+    "Photographs placed": placed,
+    Shake: shake(report),
+    "Graphics adapter": report.adapter,
     // Each photograph's place has a table of its own.
-    poses: report.poses && without(report.poses, "verdicts"),
-    models: report.models,
-    fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
+    Poses: report.poses && without(report.poses, "verdicts"),
+    Models: report.models,
+    Fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
-  return Object.assign(list, { gist: placed ? `${placed} placed` : "run details" });
+  return Object.assign(list, { gist: placed ? `${placed} photographs placed` : "run details" });
 }
 
-/** What the look at the shake before the rounds came to. */
+/** The verdict on shake before the rounds. */
 function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
   const ways = {
@@ -52,7 +51,7 @@ function without(values, name) {
  * Every option of a job, one a line.
  * @param {import("fled-api").Job} job
  */
-export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(job.options));
+export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(Object.fromEntries(Object.entries(job.options).map(([key, value]) => [optionName(key), value]).sort())));
 
 /** Names and values; what a value holds is a list of its own. */
 function pairs(values) {

@@ -11,8 +11,8 @@ import { advice } from "../lib/words.js";
 const SECOND_MS = 1000;
 
 /**
- * `{ root, update(job), sum(result), leave }`; `refresh` asks the server again after something was done. Who came
- * by a link to the job can do nothing with it.
+ * `{ root, update(job), sum(result), leave }`; `refresh` asks the server again after something was done. A
+ * visitor by a link to the job can do nothing with it.
  */
 export function jobHead(base, refresh, who) {
   const isVisitor = who.job !== null;
@@ -69,7 +69,7 @@ export function jobHead(base, refresh, who) {
     return button;
   }
 
-  /** What the server will do with the job of itself, and how to keep it. */
+  /** When the server deletes the job by itself, and how to keep it. */
   let kept = "";
   function showKeeping() {
     const now = `${job.pinned} ${job.expires_at}`;
@@ -86,7 +86,7 @@ export function jobHead(base, refresh, who) {
     else keeping.replaceChildren();
   }
 
-  /** What a machine must have that a waiting job is given to. */
+  /** Requirements of a waiting job on its machine. */
   let needed = "";
   function showNeeds() {
     const now = job.waits_for ?? "";

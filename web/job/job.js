@@ -1,6 +1,6 @@
 // One job, live.
 
-import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "../lib/dom.js";
+import { address, api, count, fold, folding, h, nothing, plain, prose, section, show, size } from "../lib/dom.js";
 import { contents } from "../lib/contents.js";
 import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
@@ -45,7 +45,7 @@ export function jobPage(main, who, id) {
   // Where nobody needs a token, a link would mean nothing.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
-  // What matters comes first: on a phone the rest is far below.
+  // The important parts come first: on a phone the rest is far below.
   const bar = contents(main, { training: training.root, scene: scene.root, views: views.root, metrics, files, export: exported,
     ...(novel && { novel: novel.root }), videos: filmed.root, photographs: unused, time: times, details: facts,
     ...(share && { share: share.root }), ...(log && { log: log.root }) });
@@ -66,12 +66,12 @@ export function jobPage(main, who, id) {
       head.update(job);
       problem.textContent = "";
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
-        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
+        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: `, prose(warning.message)))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
       log?.follow(!isOver(job));
       if (isOver(job)) {
         training.over();
-        // What it came to stands before how it came to be.
+        // The result stands before its history.
         if (metrics.nextSibling !== training.root) metrics.after(training.root);
       }
       // The curves of one that is over are in its events, too.
@@ -94,7 +94,7 @@ export function jobPage(main, who, id) {
     }
   }
 
-  /** What was left out of the upload: told once, it does not change. */
+  /** Photographs left out of the upload: told once, as they do not change. */
   async function showUnused(job) {
     /** @type {import("fled-api").Capture | null} */
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);

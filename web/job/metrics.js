@@ -43,7 +43,7 @@ function series(rounds, isTruth) {
         const record = recordOf(round, { image, split }, isTruth);
         return record ? [[round.round, record]] : [];
       });
-      if (records.length > 0) found.push({ label: `${label}, ${plain(split)} (${records[0][1].views} views)`, colour, dashed, records });
+      if (records.length > 0) found.push({ label: `${label}, ${split === "train" ? "training" : plain(split)} (${records[0][1].views} views)`, colour, dashed, records });
     }
   }
   return found;

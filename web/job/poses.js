@@ -1,11 +1,12 @@
-// Where the photographs were taken from: the picture, and what is said about each one's place.
+// Where the photographs were taken from, and why some have no place.
 
 import { h } from "../lib/dom.js";
 import { told } from "../lib/table.js";
+import { hasWebGl } from "../lib/webgl.js";
 
 const WORDS = {
   registered: "placed",
-  given: "given position kept: its matches cannot place it",
+  given: "kept at its given position: its matches cannot place it",
   late: "placed with the scene",
   doubtful: "excluded: stronger matches contradict it",
   taken_out: "removed: it does not look like the scene from there",
@@ -13,12 +14,17 @@ const WORDS = {
 };
 
 export function poses(base, report) {
-  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "Cameras and sparse points from above", loading: "lazy" });
-  const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
-  // An older run has left no such file.
-  image.addEventListener("error", () => image.remove());
   const rows = places(report);
-  if (rows.length > 0) figure.append(h("details", {}, h("summary", {}, summary(rows)), table(rows)));
+  // Where the browser draws the scene, it draws the cameras in it.
+  return h("div", { class: "poses" }, !hasWebGl() && map(base),
+    rows.length > 0 && h("details", {}, h("summary", {}, summary(rows)), table(rows)));
+}
+
+function map(base) {
+  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "Cameras and sparse points from above", loading: "lazy" });
+  const figure = h("figure", {}, image, h("figcaption", {}, "Where the photographs were taken from"));
+  // An older run has left no such file.
+  image.addEventListener("error", () => figure.remove());
   return figure;
 }
 

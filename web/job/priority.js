@@ -19,7 +19,7 @@ export function priorityField(base, changed, who) {
     h("label", {}, "Priority", field),
     h("span", { class: "hint" }, "Waiting jobs with a higher priority start first."),
     problem);
-  /** What the server has. */
+  /** The server's number. */
   let known = 0;
   let asks = false;
 
@@ -44,7 +44,7 @@ export function priorityField(base, changed, who) {
     /** @param {import("fled-api").Job} job */
     update(job) {
       root.hidden = job.state !== "queued";
-      // Who types has not said yet what they mean.
+      // A number that is being typed is not final yet.
       if (asks || (field === document.activeElement && field.value !== String(known))) return;
       known = job.priority;
       if (field.value !== String(known)) field.value = String(known);

@@ -8,12 +8,12 @@ export function shares(job) {
   const problem = h("p", { class: "problem", role: "alert" });
   const made = h("div");
   const list = h("div");
-  const name = h("input", { type: "text", maxLength: 100, placeholder: "Who is it for?" });
+  const name = h("input", { type: "text", maxLength: 100, placeholder: "Recipient" });
   const days = h("select", {}, [[1, "1 day"], [7, "1 week"], [30, "30 days"], [365, "1 year"]]
     .map(([value, label]) => h("option", { value: String(value), selected: value === 30 }, label)));
   const button = h("button", { type: "submit" }, "Create link");
   const root = h("section", { hidden: true }, h("h2", {}, "Share"),
-    h("p", { class: "hint" }, "Anyone with the link can see this job’s pictures, files and novel views, and nothing else."),
+    h("p", { class: "hint" }, "Anyone with the link can see this job's pictures, scene and files, and nothing else."),
     h("form", { class: "row", onsubmit: make }, h("label", {}, "Name ", name), h("label", {}, "Expires after ", days), button),
     made, list, problem);
 

@@ -1,7 +1,8 @@
 // The summary of a finished job, with its downloads and links.
 
-import { duration, h, size } from "../lib/dom.js";
+import { h, size } from "../lib/dom.js";
 import { leap } from "../lib/place.js";
+import { took } from "../lib/state.js";
 import { METRICS } from "../lib/words.js";
 import { agreement, hasTruth, recordOf } from "./metrics.js";
 
@@ -19,7 +20,7 @@ export function summary(job, report, artifacts, given, share) {
   const facts = [
     ["Delivered", best && `round ${best.round} of ${report.rounds.length}`],
     ...(best ? scores(best) : []),
-    ["Time in all", job.started_at && job.finished_at && duration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000)],
+    ["Total time", took(job)],
     ["Photographs used", report.registered !== undefined && `${report.registered} of ${given ?? report.views}`],
   ].filter(([, value]) => value);
   return h("div", { class: "summary" },
@@ -40,7 +41,7 @@ function scores(round) {
   const score = (name, key, { digits }, unit = "") => [
     name,
     render && render[key].toFixed(digits) + unit,
-    only && `${render?.split === "train" ? "training views" : "held out"}; enhanced only ${only[key].toFixed(digits)}`,
+    only && `${render?.split === "train" ? "training views" : "held out"}; enhanced ${only[key].toFixed(digits)}`,
   ];
   return [score("PSNR", "psnr_cc_db", METRICS.psnr_cc, " dB"), score("SSIM", "ssim", METRICS.ssim)];
 }

@@ -8,7 +8,7 @@ import { meanings } from "../lib/words.js";
 const WIDTH = 420;
 const HEIGHT = 200;
 const MARGIN = { left: 46, right: 12, top: 8, bottom: 24 };
-/** What a new loss counts for in its line: views differ, so their losses scatter about it. */
+/** Weight of a new loss in its line: views differ, so their losses scatter about it. */
 const SHARE = 0.3;
 /** Of the losses one in so many may lie above the chart: a first one presses the rest flat. */
 const BEYOND = 0.02;
@@ -46,7 +46,7 @@ export function trainingView(base) {
     view_seen: picture.see,
   };
 
-  /** What the scores are of: with truth something else than without. */
+  /** Titles depend on whether there is truth. */
   function name({ truth, views }) {
     named = truth;
     const of = `${views} held-out view${views === 1 ? "" : "s"}`;

@@ -56,7 +56,7 @@ export function videos(id, isVisitor) {
     try {
       await api(`${base}/${video.id}`, { method: "DELETE" });
       await look();
-      // What had the focus is gone.
+      // The element that had the focus is gone.
       button.focus();
     } catch (error) {
       problem.textContent = error.message;
@@ -128,7 +128,7 @@ function entry(base, video, remove) {
   }
   if (video.state === "failed") {
     const { detail, hint } = video.error;
-    return { state: video.state, update() {}, node: h("li", {}, head(end("Remove", "")), h("p", { class: "problem" }, `The video could not be made: ${detail}\n${hint}`)) };
+    return { state: video.state, update() {}, node: h("li", {}, head(end("Remove", "")), h("p", { class: "problem" }, `The video could not be created: ${detail}\n${hint}`)) };
   }
   function update({ state, progress, ahead }) {
     const before = ahead > 0 ? `waiting for ${count(ahead, "other video")}` : "starting soon";

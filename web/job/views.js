@@ -22,7 +22,7 @@ export function comparison(job) {
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
-  // What is compared, by kind: kept when another view is chosen.
+  // Kinds of the compared pictures: kept when another view is chosen.
   const sides = { left: "inputs", right: null };
   let [all, drawn] = [[], 0];
   choice.addEventListener("change", rebuild);
@@ -32,7 +32,7 @@ export function comparison(job) {
   function pictures(name) {
     const shot = (key, label, path) => ({ key, label, url: at(path) });
     /** @type {(ReturnType<typeof shot> | ReturnType<typeof made>)[]} */
-    const list = [shot("inputs", "dark input", `inputs/${name}.jpg`)];
+    const list = [shot("inputs", "photograph", `inputs/${name}.jpg`)];
     for (const round of facts.rounds) {
       const of = (kind) => `rounds/${round}/${kind}/${name}.jpg`;
       for (const [kind, label] of [["enhanced", "enhanced"], ["deblurred", "deblurred"], ["renders", "rendered"]]) {

@@ -8,7 +8,7 @@ const HEIGHT = 210;
 const TICKS = 5;
 /** Rounds that are called so below a chart. */
 const MOST_WORDS = 7;
-const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
+const MARGIN = { left: 50, right: 12, top: 8, bottom: 24 };
 /** Of a mark, half its side. */
 const SIZE = 4;
 

@@ -35,7 +35,7 @@ export function contents(main, parts) {
   function draw() {
     const order = [...main.querySelectorAll("section:not([hidden])")].filter((part) => links.has(part));
     const now = order.map((part) => links.get(part));
-    // What is set anew is a change, which would be drawn again without end.
+    // Setting the same nodes is a change, too, and would be drawn again without end.
     if (now.some((one, i) => one !== root.children[i]) || root.children.length !== now.length) {
       root.replaceChildren(...now);
       root.hidden = now.length < FEWEST;

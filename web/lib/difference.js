@@ -5,7 +5,7 @@ export const TIMES = 4;
 
 /**
  * The address of a picture of |a - b|, times `TIMES`, of the encoded values of each channel; the
- * second picture is brought to the size of the first. Whoever asks lets go of it
+ * second picture is brought to the size of the first. The caller lets go of it
  * (`URL.revokeObjectURL`).
  */
 export async function difference(a, b) {

@@ -27,7 +27,7 @@ function fill(node, properties, children, svg = false) {
   return node;
 }
 
-/** What an element is known by when it is drawn again: a link by where it leads. */
+/** An element's identity when it is drawn again: a link's is where it leads. */
 const keyOf = (element) => element.dataset.key ?? element.getAttribute("href");
 
 /**
@@ -43,7 +43,7 @@ export function refill(node, ...children) {
 }
 
 /**
- * What the server refused: its words, `status`, `pointer` to the part at fault, and `wait`, the
+ * A refusal of the server: its words, `status`, `pointer` to the part at fault, and `wait`, the
  * seconds until it may be asked again, where it says so.
  */
 export class Refusal extends Error {
@@ -124,6 +124,9 @@ export const address = (path) => path.split("/").map(encodeURIComponent).join("/
 
 /** "held_out" -> "held out". */
 export const plain = (word) => String(word).replaceAll("_", " ");
+
+/** A sentence of ours as nodes: names stand between backticks. */
+export const prose = (text) => text.replaceAll(/\s+/g, " ").split("`").map((part, i) => (i % 2 ? h("code", {}, part) : part));
 
 /** A part of a page under a title; `show` fills and hides it. */
 export function section(title) {

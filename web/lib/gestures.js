@@ -67,7 +67,7 @@ export function gestures(frame, view, isOwn = () => false) {
   return { isPinching: () => fingers.size > 1 };
 }
 
-/** What the keys + − 0 and Shift with arrows do in pictures; whether the key was one of them. */
+/** The keys + − 0 and Shift with arrows in pictures; whether the key was one of them. */
 export function zoomKey(event, view) {
   const [step, enlarge] = [0.12, 1.5];
   const to = {

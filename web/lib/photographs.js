@@ -1,6 +1,6 @@
-// What became of the photographs of a capture.
+// The verdicts on the photographs of a capture.
 
-import { count, h } from "./dom.js";
+import { count, h, prose } from "./dom.js";
 import { told } from "./table.js";
 
 const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
@@ -33,12 +33,12 @@ export function photographs(capture) {
 }
 
 /**
- * What is worth knowing of all of them.
+ * Warnings about all of them.
  * @param {Capture} capture
  */
 export function captureWarnings(capture) {
   if (capture.warnings.length === 0) return null;
-  return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, warning.message)));
+  return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, prose(warning.message))));
 }
 
 /**
@@ -51,6 +51,5 @@ export function leftOut(capture) {
   return [
     h("p", {}, `${used(capture)}. Not used:`),
     h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
-    h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs in this capture")),
   ];
 }

@@ -1,6 +1,6 @@
-// What a page keeps in its address behind `?`: one can send it, and the way back leads to it.
+// State that a page keeps in its address behind `?`: links and the way back lead to it.
 
-/** What the address says. */
+/** The state in the address. */
 export const asked = () => new URLSearchParams(location.hash.split("?")[1] ?? "");
 
 /** Writes values into the address; what is empty is left out. No page is opened by that. */

@@ -25,7 +25,7 @@ export function split() {
   const top = picture("top");
   const bar = h("div", { class: "bar" });
   const [left, right] = [h("span", { class: "left" }), h("span", { class: "right" })];
-  const root = h("div", { class: "compare", tabIndex: 0, role: "slider", "aria-label": "comparison", "aria-valuemin": "0", "aria-valuemax": "100" },
+  const root = h("div", { class: "compare", tabIndex: 0, role: "slider", "aria-label": "Comparison", "aria-valuemin": "0", "aria-valuemax": "100" },
     below.root, top.root, bar, left, right);
   const equal = h("input", { type: "checkbox" });
   const light = h("span", { class: "hint", role: "status" });

@@ -1,4 +1,4 @@
-// What a job does, in words.
+// A job's state in words.
 
 import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
 
@@ -20,7 +20,7 @@ export const stateWord = (job) => (job.cancel_requested && job.state === "runnin
 export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWord(job));
 
 /**
- * What a job does now, in a few words.
+ * The present activity of a job, in a few words.
  * @param {Job} job
  */
 export function doing(job) {
@@ -65,6 +65,14 @@ function elapsed(job) {
   const given = job.options.pose_source === "given";
   return given ? `${time} so far` : `${time} so far; usually one to two minutes`;
 }
+
+/**
+ * From the first attempt to the end; empty before that. Stage times may hold more: those of poses
+ * that an earlier job found.
+ * @param {Job} job
+ */
+export const took = ({ started_at: from, finished_at: to }) =>
+  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
 
 /**
  * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.

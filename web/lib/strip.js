@@ -20,7 +20,7 @@ export function thumbnails(chosen, slider) {
   const near = new Promise((resolve) => {
     come = resolve;
   });
-  const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
+  const grid = h("div", { class: "shots", role: "group", "aria-label": "Pictures of the view" });
   const sides = ["left", "right"].map((name) =>
     h(
       "button",
@@ -33,7 +33,7 @@ export function thumbnails(chosen, slider) {
     {},
     h(
       "div",
-      { class: "row sides", role: "group", "aria-label": "side" },
+      { class: "row sides", role: "group", "aria-label": "Side" },
       "Choose a picture for the",
       ...sides,
     ),
@@ -179,7 +179,7 @@ export function thumbnails(chosen, slider) {
   return {
     root,
     fill(pictures) {
-      // What is there already is not fetched again.
+      // Pictures that are there already are not fetched again.
       const now = JSON.stringify(pictures);
       if (now === known) return;
       known = now;

@@ -1,6 +1,26 @@
-// What numbers and failures mean, in a sentence for people.
+// Names and meanings of options, scores and failures.
 
-import { h } from "./dom.js";
+import { h, plain } from "./dom.js";
+
+const OPTIONS = {
+  size: "Image size",
+  target: "Brightness",
+  held_out: "Held-out views",
+  steps: "Training steps",
+  cap: "Maximum Gaussians",
+  pose_source: "Camera poses",
+  refine_poses: "Refine cameras",
+  late_views: "Place missing photographs later",
+  sh_degree: "Spherical harmonics degree",
+  deblur: "Deblurring network",
+  densify: "Densification",
+  seed: "Random seed",
+  train_on: "Training views",
+  start: "Start of later rounds",
+};
+
+/** An option as every page calls it. */
+export const optionName = (key) => OPTIONS[key] ?? plain(key)[0].toUpperCase() + plain(key).slice(1);
 
 /** Of scores: title, what is better, what it means, and how it is written. */
 export const METRICS = {
@@ -131,7 +151,7 @@ export function meanings(keys) {
 export const direction = ({ better }) =>
   better ? `${better === "higher" ? "Higher" : "Lower"} is better.` : "";
 
-/** What a failure's code means, and what one does about it. */
+/** Meaning of a failure's code, and the way out of it. */
 const FAILURES = {
   bad_input: [
     "a photograph or an option cannot be used",
@@ -180,5 +200,5 @@ const FAILURES = {
 /** A failure in a few words. */
 export const failed = ({ code }) => FAILURES[code]?.[0] ?? String(code).replaceAll("_", " ");
 
-/** What it means and what to do: a sentence or two; none for a code that is new. */
+/** Its meaning and the way out: a sentence or two; none for a code that is new. */
 export const advice = ({ code }) => FAILURES[code]?.[1] ?? "";

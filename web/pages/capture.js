@@ -105,8 +105,8 @@ function againForm(capture) {
     button.disabled = false;
   }
   const form = h("form", { onsubmit: submit, noValidate: true },
-    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), button, options.root);
-  const root = h("section", {}, h("h2", {}, "Run again with other options"), form, problem);
+    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), button, problem, options.root);
+  const root = h("section", {}, h("h2", {}, "Run again with other options"), form);
   options.root.open = true;
 
   return {

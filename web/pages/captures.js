@@ -1,4 +1,4 @@
-// What was uploaded.
+// The list of captures.
 
 import { api, count, h, refill, when } from "../lib/dom.js";
 import { rejected } from "../lib/photographs.js";
@@ -35,7 +35,7 @@ export function capturesPage(main) {
       problem.textContent = "";
     } catch (error) {
       if (gone) return;
-      problem.textContent = `${error.message} ${list.hidden ? "Captures appear when it answers." : ""}`;
+      problem.textContent = `${error.message} ${list.hidden ? "Captures appear when it responds." : ""}`;
       timer = setTimeout(refresh, AGAIN_MS);
     }
   }

@@ -3,7 +3,7 @@
 import { api, count, duration, h, refill, when } from "../lib/dom.js";
 import { asked, keep } from "../lib/place.js";
 import { selection } from "./selection.js";
-import { doing, isOver, pill, setBar } from "../lib/state.js";
+import { doing, isOver, pill, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { startForm } from "../upload/upload.js";
@@ -91,11 +91,7 @@ const reason = (error) =>
     ),
   );
 
-/** From the first attempt to the end. */
-const took = ({ started_at: from, finished_at: to }) =>
-  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
-
-/** What a job does or waits for. */
+/** The activity of a job, or its wait. */
 function now(job, known) {
   if (job.state === "queued") return waits(job, known);
   const left =
@@ -118,7 +114,7 @@ function waits(job, known) {
   return job.waits_for ? `${behind}; needs ${job.waits_for}` : behind;
 }
 
-/** What is searched for: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
+/** The search: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
 function filters(changed) {
   const wanted = asked();
   const search = h("input", {
@@ -187,8 +183,8 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
     : `the ${jobs.length.toLocaleString()} newest ${of}`;
   if (!q && !preset) return isAll ? `${all}.` : `Showing ${all}.`;
   const rest = isAll ? "" : " Older jobs were not searched.";
-  const some = found === 0 ? "None" : found.toLocaleString();
-  return `${some} of ${all} ${found > 1 ? "match" : "matches"}.${rest}`;
+  const some = found === 0 ? "No" : found.toLocaleString();
+  return `${some} ${found === 1 ? "match" : "matches"} among ${all}.${rest}`;
 }
 
 export function listPage(main) {
@@ -258,7 +254,7 @@ export function listPage(main) {
     } catch (error) {
       if (gone || mine !== asks) return;
       list.hidden = false;
-      const rest = had.jobs.length > 0 ? "This list is from before." : "Jobs appear when it answers.";
+      const rest = had.jobs.length > 0 ? "This list may be out of date." : "Jobs appear when it responds.";
       problem.textContent = `${error.message} ${rest}`;
     }
     if (!gone && mine === asks) timer = setTimeout(refresh, wanted > MOST ? MANY_MS : REFRESH_MS);

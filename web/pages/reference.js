@@ -77,7 +77,7 @@ function resolved(document, part) {
   return part.$ref.split("/").slice(1).reduce((at, name) => at?.[name.replaceAll("~1", "/")], document) ?? {};
 }
 
-/** What a value is, in a word or two. */
+/** The type of a value, in a word or two. */
 function kind(document, schema) {
   if (!schema) return "";
   if (schema.$ref) return schema.$ref.split("/").pop();

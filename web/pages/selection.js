@@ -104,7 +104,7 @@ export function selection(refresh) {
       });
       return box;
     },
-    /** What the list shows now. */
+    /** Takes the jobs that the list shows now. */
     update(jobs) {
       shown = jobs.map((job) => job.id);
       for (const job of jobs) if (chosen.has(job.id)) chosen.set(job.id, job);

@@ -1,11 +1,11 @@
-// Whoever comes by a link to one job: `#/share/JOB/SECRET`.
+// Visitors by a link to one job: `#/share/JOB/SECRET`.
 
 import { ask } from "../lib/dialog.js";
 import { api, h } from "../lib/dom.js";
 import { session } from "../lib/login.js";
 
 /**
- * What such an address names: the job and the link's secret; `null` for others.
+ * The content of such an address: the job and the link's secret; `null` for others.
  * @returns {[string, string] | null}
  */
 export function link(hash) {
@@ -24,7 +24,7 @@ export function openLink(main, [job, secret], enter) {
 
   async function open() {
     const { needed, scopes } = await session();
-    // Whoever sees the job already keeps the session that they have.
+    // A browser that sees the job already keeps its session.
     if (needed && (scopes === null || !(await seen()))) {
       if (scopes !== null && !(await ask("Open this link?", "Your current login cannot see this job. If you open the link, you see only this job until you log out.", "Open link", "Stay here"))) {
         location.hash = "#/";

@@ -1,4 +1,4 @@
-// What waits, and for which machine.
+// Waiting jobs, by the machine that they need.
 
 import { count, h, refill } from "../lib/dom.js";
 

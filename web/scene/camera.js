@@ -59,7 +59,7 @@ export function seenAt(k, angle) {
   return { ...k, fx: k.fx * nearer, fy: k.fy * nearer };
 }
 
-/** What photographers stood around: `{ centre, radius, up }`, as orbit.rs finds it. */
+/** The place that photographers stood around: `{ centre, radius, up }`, as orbit.rs finds it. */
 export function surroundingsOf(cameras) {
   const poses = cameras.map((camera) => poseOf(camera));
   const middle = mean(poses.map(({ eye }) => eye));
@@ -113,10 +113,10 @@ function squared([x, , z]) {
 /** The pose turned around `point`: `right` around `up`, then `upward` where it looks. */
 function turned(pose, up, point, right, upward) {
   const across = cross(pose.axes[2], up);
-  // Who looks straight down, as from a drone, has no horizon.
+  // A camera that looks straight down, as from a drone, has no horizon.
   const level = Math.hypot(...across) > 1e-3 ? unit(across) : pose.axes[0];
   const pitch = Math.asin(clamp(dot(pose.axes[2], up), -1, 1));
-  // Who already looks steeper, as a photograph may, only comes back.
+  // A photograph may already look steeper; it only comes back.
   const most = Math.max(STEEPEST, Math.abs(pitch));
   const tilt = clamp(pitch + upward, -most, most) - pitch;
   const turn = (v) => rotated(rotated(v, level, tilt), up, right);

@@ -62,7 +62,7 @@ function shape(camera, depth) {
 const edges = ({ eye, corners }) => corners.flatMap((corner, i) =>
   [[eye, corner], [corner, corners[(i + 1) % 4]]]);
 
-/** Who stands where it was taken would see its lines across the whole picture. */
+/** From the place of a camera its lines would cross the whole picture. */
 const isInside = (pose, { eye }, radius) =>
   Math.hypot(...along(eye, pose.eye, -1)) < 0.5 * DEPTH * radius;
 
@@ -75,7 +75,7 @@ function projected(pose, k, point, near) {
   return place[2] > near ? onPicture(k, place) : null;
 }
 
-/** What of a line lies before the eye. */
+/** The part of a line before the eye. */
 function line(context, pose, k, from, to, near) {
   let [a, b] = [seen(pose, from), seen(pose, to)];
   if (a[2] > b[2]) [a, b] = [b, a];

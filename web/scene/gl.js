@@ -11,7 +11,7 @@ const WIDEST = 4096;
 
 /** A renderer on this canvas; `null` where there is no WebGL 2. */
 export function renderer(canvas) {
-  // What is drawn stays: it is drawn only when something changed, and can be saved as a picture.
+  // The picture stays: it is drawn only when something changed, and can be saved.
   const gl = canvas.getContext("webgl2", {
     alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true,
     powerPreference: "high-performance",

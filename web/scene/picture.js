@@ -5,7 +5,7 @@ import { Refusal, h } from "../lib/dom.js";
 /** The server renders no larger pictures, px. */
 const LONGEST = 2048;
 
-/** What `POST /v1/jobs/{id}/render` takes for world to camera with intrinsics `k`, `ev` stops brighter. */
+/** The body of `POST /v1/jobs/{id}/render` for world to camera with intrinsics `k`, `ev` stops brighter. */
 export function request(scene, matrix, k, ev = 0) {
   const scale = Math.min(1, LONGEST / Math.max(k.width, k.height));
   const side = (length) => Math.max(16, Math.round(length * scale));

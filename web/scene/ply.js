@@ -2,7 +2,7 @@
 
 import { AS_IT_IS, pointWithin } from "./world.js";
 
-/** What is wrong with a scene, as a sentence. */
+/** A fault of a scene, as a sentence. */
 export class SceneError extends Error {}
 
 /** The longest header that is read, bytes; ours have 1.5 kB. */

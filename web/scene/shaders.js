@@ -121,7 +121,7 @@ void main() {
   gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0);
 }`;
 
-/** What was blended in half floats, as the screen has it. */
+/** From blended half floats to the screen. */
 export const SHOWING = `${HEAD}
 uniform sampler2D image;
 uniform vec2 size;

@@ -6,7 +6,7 @@ import { GEOMETRY } from "./ply.js";
 const DIGITS = 1 << 16;
 
 /**
- * Sorts the Gaussians of `geometry` for one view after another. What it returns takes the third
+ * Sorts the Gaussians of `geometry` for one view after another. The function that it returns takes the third
  * row of world to camera and the near plane, and answers the indexes of all that lie beyond it, the
  * farthest first. The bits of a positive float grow with it, so a counting sort over their lower
  * and then their upper half is exact; equal depths are in the order in which the server blends

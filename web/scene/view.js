@@ -27,7 +27,7 @@ const LONGEST_STEP = 100;
 /** How far back one begins before points, of the way to the middle. */
 const BACK = 1.7;
 const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
-  + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape lets go.";
+  + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape returns the wheel and the keys to the page.";
 /** Where a thumb is: above the lower edge of the picture. */
 const UNTOUCHED = "Tap to move through the scene";
 const FINGERS = "One finger turns, two pan and zoom. Tap beside the picture to scroll the page.";
@@ -51,7 +51,7 @@ export async function openScene(place, { job, name, scenes, first, start, ended 
   return view;
 }
 
-/** What one sees, in a sentence. */
+/** The content of a scene, in a sentence. */
 function told({ isPoints }, content) {
   if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
   const points = count(content.count, "sparse point");

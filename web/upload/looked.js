@@ -2,12 +2,12 @@
 
 import { h } from "../lib/dom.js";
 
-/** What the server reads; of these the browser shows the first. */
+/** The server reads both; the browser shows the first. */
 const SHOWN = /\.(jpe?g|jfif|mpo|png|webp)$/i;
 const READ = /\.(tiff?|heic|heif|hif|zip|mp4|mov|m4v)$/i;
 /** Of a photograph in which something can be found again, longest side, px. */
 const LEAST = 64;
-/** What comes with photographs: poses and models. */
+/** Files beside photographs: poses and models. */
 const BESIDE = /\.(json|npy|txt|bin|csv)$/i;
 
 /** `{ picture, fault }` of a file: a thumbnail, and a place for what is wrong with it. */
@@ -16,7 +16,7 @@ export function looked(path, file) {
   const fault = h("span", { class: "bad" });
   const isShown = SHOWN.test(path);
   if (file.size === 0) fault.textContent = "empty file";
-  else if (!isShown && !READ.test(path) && !BESIDE.test(path)) fault.textContent = "no photograph; it will not be used";
+  else if (!isShown && !READ.test(path) && !BESIDE.test(path)) fault.textContent = "not a photograph; it will not be used";
   else if (isShown) picture.append(thumbnail(file, fault));
   return { picture, fault };
 }
@@ -27,7 +27,7 @@ function thumbnail(file, fault) {
   const done = () => URL.revokeObjectURL(url);
   image.addEventListener("load", () => {
     const [width, height] = [image.naturalWidth, image.naturalHeight];
-    if (Math.max(width, height) < LEAST) fault.textContent = `only ${width} × ${height} px`;
+    if (Math.max(width, height) < LEAST) fault.textContent = `too small: ${width} × ${height} px`;
     done();
   });
   image.addEventListener("error", () => {

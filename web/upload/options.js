@@ -1,6 +1,7 @@
 // The form of a job's options, made from `/v1/options`.
 
-import { api, h, plain } from "../lib/dom.js";
+import { api, h, plain, prose } from "../lib/dom.js";
+import { optionName } from "../lib/words.js";
 
 /** By what they are for; those that are in none are for experts, and folded away. */
 const GROUPS = {
@@ -10,13 +11,6 @@ const GROUPS = {
 };
 /** They compare methods or choose among machines: of the API and the command line alone. */
 const UNASKED = ["adapter", "lut_scope", "enhance", "noise"];
-/** What others call an option. */
-const NAMES = {
-  size: "Image size, px", target: "Brightness", held_out: "Held-out views", steps: "Training steps", cap: "Gaussians at most",
-  pose_source: "Camera poses", refine_poses: "Refine cameras", late_views: "Place photographs later", sh_degree: "Spherical harmonics, degree",
-  deblur: "Deblurring network", densify: "Densification", seed: "Random seed", train_on: "Training views", start: "Start of later rounds",
-};
-const nameOf = (key) => NAMES[key] ?? plain(key)[0].toUpperCase() + plain(key).slice(1);
 const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
 /** After an answer that did not come. */
@@ -26,9 +20,6 @@ let schema = null;
 
 /** The schema does not change while a server runs. */
 const load = () => (schema ??= api("/v1/options").catch((error) => { schema = null; throw error; }));
-
-/** Our own words, with names between backticks. */
-const prose = (text) => text.replaceAll(/\s+/g, " ").split("`").map((part, i) => (i % 2 ? h("code", {}, part) : part));
 
 let forms = 0;
 
@@ -83,8 +74,8 @@ export function optionsForm() {
     const usual = presets[preset.value];
     for (const one of fields) one.set(usual[one.key], options[one.key]);
     unasked = Object.fromEntries(UNASKED.filter((key) => key in options && options[key] !== usual[key]).map((key) => [key, options[key]]));
-    const words = Object.entries(unasked).map(([key, value]) => `${plain(key)} ${value}`);
-    kept.textContent = words.length > 0 ? `As in that job: ${words.join(", ")}.` : "";
+    const words = Object.entries(unasked).map(([key, value]) => `${optionName(key)} “${value}”`);
+    kept.textContent = words.length > 0 ? `Kept from that job: ${words.join(", ")}.` : "";
   }
   preset.addEventListener("change", () => { if (presets) fillIn({}); });
 
@@ -159,7 +150,7 @@ function field(form, key, property) {
   const range = number && property.maximum !== undefined ? ` (${least} to ${most})` : "";
   const meaning = h("span", { class: "meaning" });
   const description = h("p", { class: "hint", id: `${id}-about` }, h("code", {}, key), ": ", prose((property.description ?? "") + range), meaning);
-  const root = h("div", { class: "option" }, h("label", { htmlFor: id }, nameOf(key)), input, description, problem);
+  const root = h("div", { class: "option" }, h("label", { htmlFor: id }, optionName(key)), input, description, problem);
   let usual = null;
 
   function value() {
@@ -169,7 +160,7 @@ function field(form, key, property) {
     if (text === "") return usual;
     return number && Number.isFinite(Number(text)) ? Number(text) : text;
   }
-  /** What is wrong with it, in a sentence, by the schema. */
+  /** Its fault by the schema, in a sentence. */
   function wrong() {
     if (!number || (input.value.trim() === "" && !input.validity.badInput)) return "";
     const now = Number(input.value);
@@ -177,13 +168,13 @@ function field(form, key, property) {
     const isWithin = now >= (property.minimum ?? 0) && now <= (property.maximum ?? Infinity);
     if (!input.validity.badInput && isWhole && isWithin) return "";
     const kind = property.type === "integer" ? "a whole number" : "a number";
-    return `${nameOf(key)}: enter ${kind} ${property.maximum === undefined ? `from ${least}` : `from ${least} to ${most}`}.`;
+    return `${optionName(key)}: enter ${kind} ${property.maximum === undefined ? `from ${least}` : `from ${least} to ${most}`}.`;
   }
   const differs = () => value() !== usual;
   function mark() {
     root.classList.toggle("changed", differs());
     const chosen = words?.find(([word]) => word === input.value)?.[1];
-    // What follows is for those who know the paper.
+    // The rest is for those who know the paper.
     const [about] = (chosen ?? "").split("Differs from the paper");
     meaning.replaceChildren(...(about ? [h("b", {}, plain(input.value)), ": ", ...prose(about)] : []));
   }

@@ -24,11 +24,12 @@ export function sending(files, tell) {
   const requests = new Set();
   const sleepers = new Set();
   const reasons = new Set();
-  let [paused, stopped, finished] = [false, false, 0];
+  let [stopped, finished] = [false, 0];
 
   function told() {
+    if (stopped) return;
     const bytes = [...sent.values()].reduce((sum, part) => sum + part, 0);
-    tell({ sent: bytes, total, files: finished, waits: paused ? "" : [...reasons].join(", ") });
+    tell({ sent: bytes, total, files: finished, waits: [...reasons].join(", ") });
   }
 
   /**
@@ -39,7 +40,7 @@ export function sending(files, tell) {
    */
   function ask(method, path, headers, body = null, onBytes = () => {}) {
     return new Promise((resolve, reject) => {
-      if (paused || stopped) { reject(null); return; }
+      if (stopped) { reject(null); return; }
       const request = new XMLHttpRequest();
       request.open(method, path);
       for (const [name, value] of Object.entries(headers)) request.setRequestHeader(name, value);
@@ -57,15 +58,9 @@ export function sending(files, tell) {
 
   const passes = (fault) => fault === null || LATER.includes(fault.status);
 
-  /** Returns when nothing is paused. */
-  async function running() {
-    while (paused && !stopped) await sleep(Infinity);
-    if (stopped) throw new Error("The upload was stopped.");
-  }
-
   /** Waits until it may go better, after it failed so often. */
   async function waitOut(fault, failures) {
-    if (paused || stopped) return;
+    if (stopped) return;
     const why = fault === null ? "Connection lost" : "Server busy";
     reasons.add(why);
     told();
@@ -76,7 +71,7 @@ export function sending(files, tell) {
   /** Does `step` until it is answered. */
   async function insist(step) {
     for (let failures = 0; ; failures += 1) {
-      await running();
+      if (stopped) throw new Error("The upload was stopped.");
       try {
         return await step();
       } catch (fault) {
@@ -86,11 +81,11 @@ export function sending(files, tell) {
     }
   }
 
-  /** Ends early when it goes on by hand, or when the browser finds a connection. */
+  /** Ends early when the upload is stopped, or when the browser finds a connection. */
   function sleep(ms) {
     return new Promise((resolve) => {
       const wake = () => { clearTimeout(timer); sleepers.delete(wake); resolve(); };
-      const timer = Number.isFinite(ms) ? setTimeout(wake, ms) : 0;
+      const timer = setTimeout(wake, ms);
       sleepers.add(wake);
     });
   }
@@ -179,23 +174,10 @@ export function sending(files, tell) {
   }
   addEventListener("online", wakeAll);
 
-  return {
-    done: all().finally(() => removeEventListener("online", wakeAll)),
-    stop,
-    pause() {
-      paused = true;
-      for (const request of requests) request.abort();
-      told();
-    },
-    goOn() {
-      paused = false;
-      wakeAll();
-      told();
-    },
-  };
+  return { done: all().finally(() => removeEventListener("online", wakeAll)), stop };
 }
 
-/** What an answer says that is none wanted. */
+/** The refusal in an answer. */
 function refusal(request) {
   let problem = null;
   try {

@@ -14,23 +14,24 @@ const RATE_AFTER = 2;
 
 /** `{ root, leave }`. */
 export function startForm() {
-  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
-  const folder = h("input", { type: "file", webkitdirectory: true });
+  // The list below shows the chosen files; the browser's own words would say that there are none.
+  const files = h("input", { type: "file", class: "heard", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
+  const folder = h("input", { type: "file", class: "heard", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");
   const status = h("span", { class: "hint", role: "status" });
-  const pause = h("button", { type: "button", hidden: true, onclick: toggle }, "Pause");
+  const cancel = h("button", { type: "button", hidden: true, onclick: () => { isCancelled = true; run?.stop(); } }, "Cancel");
   const problem = h("p", { class: "problem", role: "alert" });
   const options = optionsForm();
   const chosen = chosenFiles();
   const drop = h("div", { class: "drop" },
-    h("label", {}, "Photographs, a ZIP file or a video (its 40 sharpest frames are used)", files),
-    h("label", {}, "or a folder (including ground truth in gt/)", folder),
-    h("p", { class: "hint" }, "or drop them anywhere on this page"));
+    h("p", {}, "Drop photographs, a folder, a ZIP file or a video anywhere on this page, or"),
+    h("div", { class: "row" }, h("label", { class: "button" }, "Choose files", files), h("label", { class: "button" }, "Choose a folder", folder)),
+    h("p", { class: "hint" }, "fled uses the 40 sharpest frames of a video. A folder may contain ground truth in gt/."));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
       problem.textContent = chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
-      // The list below holds them now, and what was taken out can be chosen again.
+      // The list below holds them now; a file that is removed there can be chosen again.
       input.value = "";
     });
   }
@@ -38,60 +39,51 @@ export function startForm() {
   if (left > 0) {
     drop.append(h("p", { class: "hint" }, `An interrupted upload left ${count(left, "file")} on the server, complete or in part. Choose the same files again to continue where it stopped.`));
   }
-  let [run, gone] = [null, false];
+  let [run, gone, isCancelled] = [null, false, false];
   const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
 
   async function submit(event) {
     event.preventDefault();
     problem.textContent = "";
-    if (chosen.files().length === 0) { problem.textContent = "Choose photographs, a ZIP file, a video or a folder first."; return; }
-    if (!options.check()) return;
+    const isEmpty = chosen.files().length === 0;
+    if (isEmpty) problem.textContent = "Choose photographs, a ZIP file, a video or a folder first.";
+    // Everything that is wrong is said at once.
+    if (!options.check() || isEmpty) return;
     button.disabled = true;
+    isCancelled = false;
     try {
       const changed = options.chosen();
       const fields = { preset: options.preset.value, options: changed };
       if (name.value) fields.name = name.value;
       const sent = upload(chosen.files(), fields, (line, isSending) => {
-        if (!isPaused()) status.textContent = line;
-        pause.hidden = !isSending;
+        status.textContent = line;
+        cancel.hidden = !isSending;
       });
       run = sent.run;
       const job = await sent.job;
       if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (gone) return;
-      if (!options.fault(error)) problem.textContent = error.message;
-      status.textContent = "";
+      status.textContent = isCancelled ? "Upload cancelled. Start continues where it stopped." : "";
+      if (!isCancelled && !options.fault(error)) problem.textContent = error.message;
     }
     run = null;
-    pause.hidden = true;
-    pause.textContent = "Pause";
+    cancel.hidden = true;
     button.disabled = false;
   }
 
-  const isPaused = () => pause.textContent === "Resume";
-  function toggle() {
-    const wasPaused = isPaused();
-    pause.textContent = wasPaused ? "Pause" : "Resume";
-    if (wasPaused) run?.goOn();
-    else {
-      run?.pause();
-      status.textContent = "Paused.";
-    }
-  }
-
-  /** What has come stays with the server, and goes on when the same files are chosen. */
+  /** The server keeps the pieces it has, and the upload goes on when the same files are chosen. */
   function leave() {
     gone = true;
     run?.stop();
     leaveDrops();
   }
-  const form = h("form", { onsubmit: submit, noValidate: true }, drop,
-    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), button, chosen.root, options.root);
-  return { root: h("section", {}, h("h2", {}, "New job"), form, h("p", { class: "row" }, status, pause), problem), leave };
+  const form = h("form", { onsubmit: submit, noValidate: true }, drop, chosen.root,
+    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), h("div", { class: "row" }, button, cancel, status), problem, options.root);
+  return { root: h("section", {}, h("h2", {}, "New job"), form), leave };
 }
 
-/** What will be sent, by path; each can be taken out again. */
+/** The files to send, by path; each can be removed again. */
 function chosenFiles() {
   const held = new Map();
   const words = h("span", { role: "status" });
@@ -104,7 +96,7 @@ function chosenFiles() {
   function line(path, file) {
     const { picture, fault } = looked(path, file);
     return h("li", {}, picture, h("span", { class: "of" }, h("span", { class: "path" }, path), " ", fault), h("span", { class: "soft" }, size(file.size)),
-      h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => takeOut(path) }, "Remove"));
+      h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => removeOne(path) }, "Remove"));
   }
 
   function draw() {
@@ -116,11 +108,11 @@ function chosenFiles() {
     list.replaceChildren(...[...held.keys()].map((path) => rows.get(path)));
   }
 
-  function takeOut(path) {
+  function removeOne(path) {
     const at = [...held.keys()].indexOf(path);
     held.delete(path);
     draw();
-    // Whoever takes out several by keyboard goes on where they were.
+    // The next one is in reach of the keyboard.
     const buttons = list.querySelectorAll("button");
     buttons[Math.min(at, buttons.length - 1)]?.focus();
   }
@@ -140,7 +132,7 @@ function chosenFiles() {
       }
       draw();
       return twice.length === 0 ? ""
-        : `Another ${twice[0]} was chosen before, and stays. Choose the folder that holds both, or take it out first.`;
+        : `Two different files are called ${twice[0]}; the first is kept. Remove it first, or choose a folder that contains both.`;
     },
   };
 }
@@ -171,7 +163,7 @@ function upload(files, fields, show) {
       begun.forget(files);
       return made;
     } catch (error) {
-      // What is gone on the server is sent anew the next time.
+      // Uploads that the server has lost are sent anew the next time.
       if (error.status === 404) begun.forget(files);
       throw withRejected(error);
     }
