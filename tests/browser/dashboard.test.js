@@ -83,6 +83,7 @@ const valueOf = (bar) => () => bar.evaluate((element) => element.value);
 test("without a job the list says how to begin, and the machine is ready", () =>
   browser.visit("list-empty", "", async (page) => {
     await page.getByText("No jobs yet.").waitFor();
+    await until("the example is there", () => loaded(page.locator(".example img")));
     await seen(page.locator("#health"), /^Ready$/);
     assert.equal(await page.getByRole("table").isVisible(), false);
   }));

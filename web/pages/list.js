@@ -190,10 +190,20 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
 export function listPage(main) {
   const jobs = jobTable(() => refresh());
   const empty = h(
-    "p",
-    { class: "hint", hidden: true },
-    "No jobs yet. Start with a folder of 20 to 60 overlapping photographs of a place where " +
-      "nothing moves.",
+    "div",
+    { class: "example", hidden: true },
+    h(
+      "p",
+      {},
+      "No jobs yet. Start with a folder of 20 to 60 overlapping photographs of a place where " +
+        "nothing moves.",
+    ),
+    h(
+      "figure",
+      {},
+      h("img", { alt: "", src: "/assets/example.webp", width: 804, height: 225, loading: "lazy" }),
+      h("figcaption", {}, "A dark, shaken photograph, and fled's scene from the same camera."),
+    ),
   );
   const extent = h("span", { class: "hint", role: "status" });
   const more = h("button", { type: "button", hidden: true }, "Show older jobs");
