@@ -13,6 +13,8 @@ pub mod reference;
 mod response;
 mod saved;
 
+use std::collections::BTreeMap;
+
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
 pub use estimate::{estimate, reach};
@@ -124,6 +126,24 @@ impl ShakeKernel {
     /// Whether the shake is significant, by [`ShakeKernel::elongation`].
     pub fn tells(&self) -> bool {
         self.elongation() >= TELLS_FROM
+    }
+
+    /// The kernel of the image at half the size.
+    #[must_use]
+    pub fn halved(&self) -> Self {
+        let mut taps: BTreeMap<[i32; 2], f32> = BTreeMap::new();
+        for tap in &self.taps {
+            // An odd offset lies between two pixels of the smaller image.
+            for [dx, dy] in [[0, 0], [0, 1], [1, 0], [1, 1]] {
+                let offset = [tap.offset[0] + dx, tap.offset[1] + dy].map(|o| o.div_euclid(2));
+                *taps.entry(offset).or_default() += 0.25 * tap.weight;
+            }
+        }
+        let taps = taps.into_iter();
+        Self::new(
+            taps.map(|(offset, weight)| Tap { offset, weight })
+                .collect(),
+        )
     }
 
     fn rows(&self) -> Vec<[f32; 4]> {

@@ -1,7 +1,7 @@
 //! The forward model: renders the scene's Gaussians from the camera of each view and applies the
 //! view's shake. Cameras and kernels are estimated here, from renders of the current scene.
 
-mod poses;
+pub(super) mod poses;
 mod shakes;
 
 use fled_gpu::{Gpu, GpuError};
@@ -22,6 +22,8 @@ pub(super) struct ForwardModel<'a> {
     pub(super) shake: Option<Shake>,
     /// In the order given.
     pub(super) views: Vec<Observed<'a>>,
+    /// The kernel of the render whose camera is being corrected; `None` without shake.
+    kernel: Option<DeviceKernel>,
 }
 
 /// The requirements on a [`ForwardModel`].
@@ -54,10 +56,8 @@ impl<'a> ForwardModel<'a> {
             .shake
             .map(|response| Shake::new(gpu, size, response));
         let shake = shake.transpose()?;
-        let observed = |view| {
-            let kernel = shake.as_ref().map(|_| DeviceKernel::new(gpu)).transpose()?;
-            Ok(Observed::new(view, kernel))
-        };
+        let kernel = || shake.as_ref().map(|_| DeviceKernel::new(gpu)).transpose();
+        let observed = |view| Ok(Observed::new(view, kernel()?));
         let views = views
             .iter()
             .map(observed)
@@ -65,6 +65,7 @@ impl<'a> ForwardModel<'a> {
         let device = DeviceGaussians::upload(gpu, gaussians, purpose.capacity)?;
         let mut model = Self {
             pass: ForwardPass::new(gpu, device, size, purpose.gradients)?,
+            kernel: kernel()?,
             shake,
             views,
         };
@@ -88,24 +89,6 @@ impl<'a> ForwardModel<'a> {
         self.pass.image(camera, degree, |pass| {
             pass.recorder()?.submit()?;
             Ok(pass.buffers().image.clone())
-        })
-    }
-
-    /// Like `render`, with the shake of `view` applied.
-    fn render_shaken(
-        &mut self,
-        view: usize,
-        camera: &Camera,
-        degree: u32,
-    ) -> Result<Image, GpuError> {
-        let (Some(shake), Some(kernel)) = (&self.shake, &self.views[view].kernel) else {
-            return self.render(camera, degree);
-        };
-        self.pass.image(camera, degree, |pass| {
-            let mut recorder = pass.recorder()?;
-            shake.record_forward(&mut recorder, kernel, &pass.buffers().image)?;
-            recorder.submit()?;
-            Ok(shake.blurred().clone())
         })
     }
 }

@@ -66,9 +66,8 @@ impl<'a> Observed<'a> {
         self.motion.moved(&self.given.camera)
     }
 
-    /// The camera at the size in training after `motion` of the given camera.
-    pub(super) fn camera_after(&self, motion: &Motion) -> Camera {
-        let [width, height] = self.size();
+    /// The camera at this size in px after `motion` of the given camera.
+    pub(super) fn camera_after(&self, motion: &Motion, [width, height]: [usize; 2]) -> Camera {
         motion.moved(&self.given.camera).resized(width, height)
     }
 
@@ -77,13 +76,12 @@ impl<'a> Observed<'a> {
     }
 
     pub(super) fn move_to(&mut self, motion: Motion) {
-        self.camera = self.camera_after(&motion);
+        self.camera = self.camera_after(&motion, self.size());
         self.motion = motion;
     }
 
-    /// The photograph at the size in training.
-    pub(super) fn photograph(&self) -> Image {
-        let [width, height] = self.size();
+    /// The photograph at this size in px.
+    pub(super) fn photograph(&self, [width, height]: [usize; 2]) -> Image {
         self.given.image.resize_area(width, height)
     }
 
@@ -91,7 +89,7 @@ impl<'a> Observed<'a> {
     pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
         let target = match self.target.take() {
             Some(target) => target,
-            None => upload_target(gpu, &self.photograph())?,
+            None => upload_target(gpu, &self.photograph(self.size()))?,
         };
         Ok(self.target.insert(target).clone())
     }

@@ -2,6 +2,7 @@
 
 use fled_gpu::Gpu;
 
+use super::forward_model::poses::Correction;
 use super::forward_model::{ForwardModel, Purpose};
 use super::{ReconstructError, TrainingView};
 use crate::camera::Camera;
@@ -53,9 +54,14 @@ impl<'a> Registration<'a> {
         depth: f64,
         cancel: &CancelToken,
     ) -> Result<Vec<Camera>, ReconstructError> {
-        for _ in 0..CORRECTIONS {
+        for left in (0..CORRECTIONS).rev() {
+            let how = Correction {
+                depth,
+                degree: self.sh_degree,
+                is_coarse: left > 0,
+            };
             self.model.estimate_shake(self.sh_degree, cancel)?;
-            self.model.correct_cameras(depth, self.sh_degree, cancel)?;
+            self.model.correct_cameras(how, cancel)?;
         }
         Ok(self.model.cameras())
     }

@@ -145,6 +145,11 @@ impl Schedule {
         step.is_multiple_of(interval) && self.share(step) >= from
     }
 
+    /// Whether no correction of the cameras follows that before `step`.
+    pub fn refines_poses_last(&self, step: u32) -> bool {
+        (step + 1..self.steps).all(|later| !self.refines_poses(later))
+    }
+
     /// Whether classic densification resets opacities before `step`: never in the last half of the
     /// round.
     pub fn resets_opacities(&self, step: u32) -> bool {
@@ -292,6 +297,7 @@ mod tests {
         assert_eq!(steps(PLAN), [400, 600, 800]);
         assert_eq!(steps(Schedule { warm: true, ..PLAN }), [200, 400, 600, 800]);
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
+        assert!(!PLAN.refines_poses_last(600) && PLAN.refines_poses_last(800));
     }
 
     #[test]

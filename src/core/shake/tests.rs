@@ -244,6 +244,28 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
 }
 
 #[test]
+fn a_halved_kernel_shakes_a_halved_image_alike() {
+    let (sharp, response) = (
+        picture(160, 120)
+            .resize_area(80, 60)
+            .resize_bilinear(160, 120),
+        Response::srgb(),
+    );
+    let halved = |image: &Image| image.resize_area(80, 60);
+    let right = halved(&shaken(&sharp, &curve(), &response));
+    let apart = |image: &Image| {
+        let pairs = image.data().iter().zip(right.data());
+        pairs.map(|(a, b)| f64::from((a - b).abs())).sum::<f64>() / right.data().len() as f64
+    };
+    let found = apart(&shaken(&halved(&sharp), &curve().halved(), &response));
+    let unshaken = apart(&halved(&sharp));
+    assert!(
+        found < 0.1 * unshaken,
+        "{found} apart, {unshaken} without a kernel"
+    );
+}
+
+#[test]
 fn uninformative_images_have_no_shake() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
     assert_eq!(

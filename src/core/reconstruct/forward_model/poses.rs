@@ -9,6 +9,7 @@ use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::observed::Observed;
+use crate::reconstruct::schedule::reduced_size;
 use crate::register::{self, Motion};
 
 /// Number of views whose seven renders are held at once.
@@ -34,16 +35,34 @@ impl Probed {
     }
 }
 
+/// One correction of the cameras.
+#[derive(Clone, Copy)]
+pub(in crate::reconstruct) struct Correction {
+    /// About how far away the scene is, world units.
+    pub(in crate::reconstruct) depth: f64,
+    /// Degree of the harmonics.
+    pub(in crate::reconstruct) degree: u32,
+    /// Whether renders have half the size in training, for a quarter of the work: exact enough
+    /// where another correction follows.
+    pub(in crate::reconstruct) is_coarse: bool,
+}
+
+impl Correction {
+    fn size(&self, view: &Observed<'_>) -> [usize; 2] {
+        let [width, height] = view.size();
+        reduced_size(width, height, 1 + usize::from(self.is_coarse)).into()
+    }
+}
+
 impl ForwardModel<'_> {
     /// Takes one Gauss-Newton step of every camera; their common motion is that of the world and is
     /// removed.
     pub(in crate::reconstruct) fn refine_poses(
         &mut self,
-        depth: f64,
-        degree: u32,
+        how: Correction,
         cancel: &CancelToken,
     ) -> Result<(), ReconstructError> {
-        self.correct_cameras(depth, degree, cancel)?;
+        self.correct_cameras(how, cancel)?;
         let given: Vec<Camera> = self.views.iter().map(|view| view.given().camera).collect();
         let mut motions: Vec<Motion> = self.views.iter().map(Observed::motion).collect();
         register::hold_gauge(&given, &mut motions);
@@ -51,12 +70,11 @@ impl ForwardModel<'_> {
         Ok(())
     }
 
-    /// Takes one Gauss-Newton step of every camera in a scene about `depth` world units away. A
-    /// camera stays in place if the step makes its render fit worse.
+    /// Takes one Gauss-Newton step of every camera. A camera stays in place if the step makes its
+    /// render fit worse.
     pub(in crate::reconstruct) fn correct_cameras(
         &mut self,
-        depth: f64,
-        degree: u32,
+        how: Correction,
         cancel: &CancelToken,
     ) -> Result<(), ReconstructError> {
         let all: Vec<usize> = (0..self.views.len()).collect();
@@ -64,7 +82,7 @@ impl ForwardModel<'_> {
             cancel.check()?;
             let seen = some
                 .iter()
-                .map(|&view| self.probe(view, degree, depth))
+                .map(|&view| self.probe(view, how))
                 .collect::<Result<Vec<_>, _>>()?;
             let corrections: Vec<_> = seen.par_iter().map(Probed::correction).collect();
             for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
@@ -72,8 +90,9 @@ impl ForwardModel<'_> {
                     continue;
                 };
                 let motion = self.views[view].motion().plus(&correction);
-                let camera = self.views[view].camera_after(&motion);
-                let after = self.render_shaken(view, &camera, degree)?;
+                let size = how.size(&self.views[view]);
+                let camera = self.views[view].camera_after(&motion, size);
+                let after = self.render_shaken(view, &camera, how)?;
                 if seen.is_worse_than(&after) {
                     self.views[view].move_to(motion);
                 }
@@ -82,21 +101,49 @@ impl ForwardModel<'_> {
         Ok(())
     }
 
-    fn probe(&mut self, view: usize, degree: u32, depth: f64) -> Result<Probed, GpuError> {
-        let camera = *self.views[view].camera();
-        let render = self.render_shaken(view, &camera, degree)?;
-        let probes = register::probes(&camera, depth);
+    /// Renders the scene with the shake of `view` applied.
+    fn render_shaken(
+        &mut self,
+        view: usize,
+        camera: &Camera,
+        how: Correction,
+    ) -> Result<Image, GpuError> {
+        let (Some(shake), Some(own), Some(kernel)) =
+            (&self.shake, &self.views[view].kernel, &mut self.kernel)
+        else {
+            return self.render(camera, how.degree);
+        };
+        let taps = match how.is_coarse {
+            true => own.kernel().halved(),
+            false => own.kernel().clone(),
+        };
+        let size = [camera.intrinsics.width, camera.intrinsics.height];
+        shake.set(kernel, size, taps)?;
+        let kernel = &*kernel;
+        self.pass.image(camera, how.degree, |pass| {
+            let mut recorder = pass.recorder()?;
+            shake.record_forward(&mut recorder, kernel, &pass.buffers().image)?;
+            recorder.submit()?;
+            Ok(shake.blurred().clone())
+        })
+    }
+
+    fn probe(&mut self, view: usize, how: Correction) -> Result<Probed, GpuError> {
+        let size = how.size(&self.views[view]);
+        let motion = self.views[view].motion();
+        let camera = self.views[view].camera_after(&motion, size);
+        let render = self.render_shaken(view, &camera, how)?;
+        let probes = register::probes(&camera, how.depth);
         let mut probed = Vec::with_capacity(probes.len());
         for probe in &probes {
-            let motion = self.views[view].motion().plus(probe);
-            let moved = self.views[view].camera_after(&motion);
-            probed.push(self.render_shaken(view, &moved, degree)?);
+            let moved = self.views[view].camera_after(&motion.plus(probe), size);
+            probed.push(self.render_shaken(view, &moved, how)?);
         }
         let probed = probed
             .try_into()
             .map_err(|_| GpuError::Validation("six probes".to_owned()))?;
         Ok(Probed {
-            photograph: self.views[view].photograph(),
+            photograph: self.views[view].photograph(size),
             render,
             probed,
             probes,

@@ -34,7 +34,7 @@ impl ForwardModel<'_> {
             }
             let photographs: Vec<Image> = some
                 .iter()
-                .map(|&view| self.views[view].photograph())
+                .map(|&view| self.views[view].photograph(self.views[view].size()))
                 .collect();
             let kernels: Vec<ShakeKernel> = renders
                 .par_iter()

@@ -7,6 +7,7 @@ use fled_gpu::GpuError;
 use super::Trainer;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::metrics::report::NoiseMapStatistics;
+use crate::reconstruct::forward_model::poses::Correction;
 use crate::reconstruct::level::Level;
 use crate::reconstruct::{Checkpoint, ReconstructError, TrainHooks};
 use crate::shake::Shake;
@@ -79,7 +80,12 @@ impl Trainer<'_> {
             && let Some(depth) = self.config.refine_poses
         {
             let begun = Instant::now();
-            self.model.refine_poses(depth, degree, cancel)?;
+            let how = Correction {
+                depth,
+                degree,
+                is_coarse: !self.schedule.refines_poses_last(step),
+            };
+            self.model.refine_poses(how, cancel)?;
             self.seconds_between.cameras += begun.elapsed().as_secs_f64();
         }
         if self.densifies(step) {
