@@ -94,7 +94,7 @@ fn lines(event: &Event) -> Vec<String> {
         | Event::ViewSeen { .. }
         | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
-        Event::Planned { rounds, views } => format!("{views} views, {rounds} rounds"),
+        Event::Planned { rounds, views, .. } => format!("{views} views, {rounds} rounds"),
         Event::StageFinished {
             stage,
             round,
