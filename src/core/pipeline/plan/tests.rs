@@ -142,6 +142,18 @@ fn ten_recorded_runs_tell_a_time_left_that_is_true() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+#[test]
+fn a_time_left_that_is_half_or_missing_is_found() {
+    let recording = Recording::read(0);
+    let mut plan = recording.plan(History::default());
+    let (end, _) = recording.events.last().expect("an end");
+    let mut moments = replay(&recording.events, &mut plan);
+    assert!(faults(&moments, *end).is_empty());
+    moments[40].eta = moments[40].eta.map(|eta| eta / 2.0);
+    moments[50].eta = None;
+    assert_eq!(faults(&moments, *end).len(), 2);
+}
+
 /// Events of one round of training by evenly made steps, `slowness` times as long as expected.
 fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
     let (stage, round, steps) = (Stage::Reconstruct, 1, plan.job.steps());
