@@ -7,6 +7,7 @@ use serde_json::{Map, Value};
 
 use super::*;
 use crate::deblur::NetworkChoice;
+use crate::event::ProgressSink;
 use crate::pipeline::workspace::Workspace;
 
 /// Share by which the time left may be wrong, and seconds near the end.
@@ -358,4 +359,45 @@ fn a_machine_remembers_its_last_runs_by_what_did_them() {
     );
     assert_eq!(history.pace(Part::Steps, "gpu"), Some(0.1));
     assert_eq!(history.pace(Part::Render, "cpu"), None);
+}
+
+/// The events that a teller passes on of a run which renders and ends, with its costs in `folder`.
+fn told_of_a_render(folder: &Path, workspace: &Workspace) -> Vec<Event> {
+    let mut told = Vec::new();
+    let mut sink = |event: &Event| told.push(event.clone());
+    let plan = fresh(History::open(Some(folder), workspace));
+    let mut teller = Teller::new(&mut sink, workspace, plan);
+    let (stage, round) = (Stage::Render, 1);
+    teller.event(&Event::StageStarted { stage, round });
+    teller.event(&Event::Finished {
+        best_round: 1,
+        seconds: 1.0,
+    });
+    told
+}
+
+#[test]
+fn a_finished_run_leaves_its_costs_to_the_next() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let workspace = Workspace::open(folder.path()).expect("open");
+    let told = told_of_a_render(folder.path(), &workspace);
+    let [
+        Event::StageStarted { .. },
+        first,
+        last,
+        Event::Finished { .. },
+    ] = &told[..]
+    else {
+        panic!("{told:?}");
+    };
+    let done = |event: &Event| matches!(event, Event::Progress { progress: 1.0, .. });
+    assert!(!done(first) && done(last), "{told:?}");
+    let history = History::open(Some(folder.path()), &workspace);
+    assert!(history.pace(Part::Render, "").is_some());
+    // Below a file there is no room for another.
+    let told = told_of_a_render(&folder.path().join("costs.json"), &workspace);
+    assert!(
+        matches!(&told[3], Event::Warning { code, .. } if code == "costs"),
+        "{told:?}"
+    );
 }
