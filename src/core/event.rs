@@ -6,7 +6,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::metrics::RoundMetrics;
+use crate::metrics::{CaptureShake, RoundMetrics};
 
 /// The stages of a job, in the order of Algorithm 1.
 #[derive(
@@ -60,12 +60,15 @@ impl Stage {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
-    /// The run has read its capture and knows its plan.
+    /// The run has read its capture and knows its plan, or has changed it.
     Planned {
         /// Number of rounds to run.
         rounds: u32,
-        /// Number of accepted views.
+        /// Number of accepted views; of those with a pose, once there are poses.
         views: u32,
+        /// The verdict on the shake, once it is known.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        shake: Option<CaptureShake>,
     },
     /// A stage begins. `round` is 1-based; 0 before the rounds.
     StageStarted {

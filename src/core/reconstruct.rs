@@ -27,7 +27,7 @@ pub use config::{Background, Densify, TrainConfig};
 pub use error::ReconstructError;
 pub use initialise::{Point, initialise, scene_depth, scene_extent};
 pub use look::Look;
-pub use registration::Registration;
+pub use registration::{CORRECTIONS, Registration};
 pub use round::{
     CheckpointHook, LookHook, ProgressHook, Seen, SeenHook, TrainHooks, TrainStart, Trained,
     TrainingView,

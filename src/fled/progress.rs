@@ -2,10 +2,10 @@
 
 use std::fs::File;
 use std::io::Write;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use fled_core::event::{Event, ProgressSink};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 /// Writes every event to `log.txt`, and to the terminal or as JSON lines to standard output.
 pub struct Reporter {
@@ -56,9 +56,17 @@ impl Reporter {
 /// The bar of a whole run, in thousandths.
 pub fn overall_bar() -> ProgressBar {
     let bar = ProgressBar::new(1000);
-    let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {msg}");
+    let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {prefix}{msg}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar
+}
+
+/// Shows the share that is done and the time left, where it is known.
+pub fn show_progress(bar: &ProgressBar, share: f64, seconds_left: Option<f64>) {
+    bar.set_position((share * 1000.0) as u64);
+    let left = seconds_left.and_then(|left| Duration::try_from_secs_f64(left).ok());
+    let left = left.map(|left| format!("{} left, ", HumanDuration(left)));
+    bar.set_prefix(left.unwrap_or_default());
 }
 
 /// Updates the bar.
@@ -79,7 +87,10 @@ fn advance(bar: &ProgressBar, event: &Event) {
                 name(stage.name(), *round)
             ));
         }
-        Event::Progress { progress, .. } => bar.set_position((progress * 1000.0) as u64),
+        Event::Progress {
+            progress,
+            eta_seconds,
+        } => show_progress(bar, *progress, *eta_seconds),
         _ => {}
     }
 }
@@ -94,7 +105,7 @@ fn lines(event: &Event) -> Vec<String> {
         | Event::ViewSeen { .. }
         | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
-        Event::Planned { rounds, views } => format!("{views} views, {rounds} rounds"),
+        Event::Planned { rounds, views, .. } => format!("{views} views, {rounds} rounds"),
         Event::StageFinished {
             stage,
             round,

@@ -34,7 +34,7 @@ pub struct Args {
     /// Path of the ONNX Runtime library, if `fled doctor` does not find it.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
     pub onnxruntime: Option<PathBuf>,
-    /// Folder that caches poses between runs; `none` caches nothing.
+    /// Folder that keeps poses and the costs of stages between runs; `none` keeps nothing.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
     /// Folder with the weights that find and match key points, if `fled doctor` does not find it;
@@ -147,11 +147,11 @@ impl Args {
         Ok(Some(Arc::new(matching)))
     }
 
-    fn pose_cache(&self) -> Option<PathBuf> {
+    fn cache(&self) -> Option<PathBuf> {
         match &self.cache {
             Some(path) if path == Path::new("none") => None,
-            Some(path) => Some(path.join("poses")),
-            None => home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled/poses")),
+            Some(path) => Some(path.clone()),
+            None => home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled")),
         }
     }
 }
@@ -184,7 +184,7 @@ pub struct Kit {
     deblurrer: Box<dyn Restorer>,
     enhancer: Option<Box<dyn Restorer>>,
     fallbacks: Vec<String>,
-    pose_cache: Option<PathBuf>,
+    cache: Option<PathBuf>,
 }
 
 impl Kit {
@@ -225,7 +225,7 @@ impl Kit {
             deblurrer,
             enhancer,
             fallbacks,
-            pose_cache: args.pose_cache(),
+            cache: args.cache(),
         })
     }
 
@@ -246,7 +246,7 @@ impl Kit {
                 .as_mut()
                 .map(|enhancer| &mut **enhancer as &mut dyn Restorer),
             fallbacks: self.fallbacks.clone(),
-            pose_cache: self.pose_cache.clone(),
+            cache: self.cache.clone(),
         }
     }
 }

@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
-use super::plan::Plan;
 use super::workspace::Workspace;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
@@ -20,7 +19,6 @@ pub struct Context<'a> {
     pub cancel: &'a CancelToken,
     /// What has taken how long.
     pub clock: Clock,
-    plan: Plan,
 }
 
 /// Wall seconds of the run, those of an earlier process included.
@@ -53,40 +51,12 @@ impl Clock {
     }
 }
 
-/// What a tool tells while it does a stage.
-pub struct StageSink<'a> {
-    sink: &'a mut dyn ProgressSink,
-    plan: &'a mut Plan,
-    stage: Stage,
-    /// Share of the stage.
-    reached: f64,
-}
-
-impl ProgressSink for StageSink<'_> {
-    fn event(&mut self, event: &Event) {
-        self.sink.event(event);
-        if let Event::StageAdvanced {
-            stage, done, total, ..
-        } = event
-            && *stage == self.stage
-        {
-            // A tool that tries another way begins to count anew.
-            let share = *done as f64 / (*total).max(1) as f64;
-            if share > self.reached {
-                self.reached = share;
-                self.plan.advance(self.stage, share, self.sink);
-            }
-        }
-    }
-}
-
 impl<'a> Context<'a> {
     /// The surroundings of a run that begins now.
     pub fn new(
         workspace: &'a Workspace,
         sink: &'a mut dyn ProgressSink,
         cancel: &'a CancelToken,
-        plan: Plan,
     ) -> Self {
         let clock = Clock {
             started: Instant::now(),
@@ -98,18 +68,6 @@ impl<'a> Context<'a> {
             sink,
             cancel,
             clock,
-            plan,
-        }
-    }
-
-    /// The sink for a tool that does a stage alone: how far it says that it is moves the run's
-    /// progress, too, forwards only.
-    pub fn sink_of(&mut self, stage: Stage) -> StageSink<'_> {
-        StageSink {
-            sink: self.sink,
-            plan: &mut self.plan,
-            stage,
-            reached: 0.0,
         }
     }
 
@@ -171,19 +129,6 @@ impl<'a> Context<'a> {
             seconds,
             skipped,
         });
-        self.plan.finish(stage, skipped, self.sink);
-    }
-
-    /// Tells that another number of rounds is made than was planned.
-    pub fn plan_rounds(&mut self, rounds: u32, views: usize) {
-        self.plan.set_rounds(rounds);
-        let views = views as u32;
-        self.sink.event(&Event::Planned { rounds, views });
-    }
-
-    /// Notes that rounds have so many times as many steps as were planned.
-    pub fn multiply_steps(&mut self, times: f64) {
-        self.plan.multiply_steps(times);
     }
 
     /// Tells how far a stage of countable units is.
@@ -200,8 +145,6 @@ impl<'a> Context<'a> {
             total,
             steps_per_second: per_second,
         });
-        let share = done as f64 / total.max(1) as f64;
-        self.plan.advance(stage, share, self.sink);
     }
 }
 
@@ -241,8 +184,7 @@ mod tests {
     /// Asks for a stage's value as a run would, and counts how often it was made.
     fn ask(workspace: &Workspace, options: &Options, kept: bool, made: &mut u32) -> u32 {
         let (cancel, mut sink) = (CancelToken::new(), Silent);
-        let plan = Plan::new(options, 3, 100);
-        let mut context = Context::new(workspace, &mut sink, &cancel, plan);
+        let mut context = Context::new(workspace, &mut sink, &cancel);
         let depends_on = Dependencies::on(options, &["cap"], &[]);
         let file = workspace.folder().root().join("value.json");
         let value = context.once(
@@ -289,8 +231,7 @@ mod tests {
         let (small, mut made) = (Options::default(), 0);
         ask(&workspace, &small, true, &mut made);
         let (cancel, mut sink) = (CancelToken::new(), Silent);
-        let plan = Plan::new(&small, 3, 100);
-        let mut context = Context::new(&workspace, &mut sink, &cancel, plan);
+        let mut context = Context::new(&workspace, &mut sink, &cancel);
         let other = Dependencies::on(&small, &["steps"], &[]);
         let interrupted = context.once(
             Stage::Deblur,
@@ -305,44 +246,11 @@ mod tests {
     }
 
     #[test]
-    fn a_tool_moves_the_progress_of_the_run_and_never_back() {
-        let folder = tempfile::tempdir().expect("temporary folder");
-        let workspace = Workspace::open(folder.path()).expect("open");
-        let (mut passed, mut progress) = (0, Vec::new());
-        let mut sink = |event: &Event| match event {
-            Event::Progress {
-                progress: share, ..
-            } => progress.push(*share),
-            _ => passed += 1,
-        };
-        let (cancel, plan) = (CancelToken::new(), Plan::new(&Options::default(), 3, 100));
-        let mut context = Context::new(&workspace, &mut sink, &cancel, plan);
-        let mut tool = context.sink_of(Stage::Poses);
-        for (stage, done, total) in [
-            (Stage::Poses, 1, 4),
-            (Stage::Poses, 3, 4),
-            // It tries another way.
-            (Stage::Poses, 1, 6),
-            (Stage::Deblur, 6, 6),
-            (Stage::Poses, 6, 6),
-        ] {
-            tool.event(&Event::advanced(stage, done, total));
-        }
-        assert_eq!((passed, progress.len()), (5, 3), "{progress:?}");
-        assert!(
-            progress.windows(2).all(|pair| pair[0] < pair[1]),
-            "{progress:?}"
-        );
-        assert!(progress[2] < 1.0, "poses are not all of a run");
-    }
-
-    #[test]
     fn the_clock_adds_up_stages_and_rounds() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let workspace = Workspace::open(folder.path()).expect("open");
         let (cancel, mut sink) = (CancelToken::new(), Silent);
-        let plan = Plan::new(&Options::default(), 3, 100);
-        let mut context = Context::new(&workspace, &mut sink, &cancel, plan);
+        let mut context = Context::new(&workspace, &mut sink, &cancel);
         context.end_stage(Stage::Poses, 0, 1.0, false);
         context.end_stage(Stage::Deblur, 1, 2.0, true);
         context.end_stage(Stage::Render, 1, 4.0, false);

@@ -76,10 +76,6 @@ pub fn deliver(
 }
 
 fn tell_finished(context: &mut Context<'_>, report: &Report, seconds: f64) {
-    context.sink.event(&Event::Progress {
-        progress: 1.0,
-        eta_seconds: Some(0.0),
-    });
     context.sink.event(&Event::Finished {
         best_round: report.best_round,
         seconds,

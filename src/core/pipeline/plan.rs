@@ -1,175 +1,343 @@
-//! Progress and remaining time: weights from costs measured on two cores, corrected by the time
-//! that the run has taken so far.
+//! Progress and time left: the work of the stages to come, by the pace of this machine in its last
+//! runs and in this one.
 
-use std::time::Instant;
+mod history;
+mod teller;
+mod work;
 
-use super::config::{NoiseMode, Options};
-use crate::deblur::NetworkChoice;
-use crate::event::{Event, ProgressSink, Stage};
+use std::collections::BTreeMap;
 
-/// Expected seconds of each stage; only their ratios matter once the run is under way.
+use super::config::Options;
+use crate::camera::Split;
+use crate::event::{Event, Stage};
+use crate::metrics::{RoundMetrics, ViewScore};
+use history::Cost;
+pub use history::History;
+pub use teller::Teller;
+use work::{Job, Part, Work};
+
+/// Share of a stage whose pace weighs as much as that of earlier runs.
+const KNOWN_SHARE: f64 = 0.2;
+/// Share of a stage after which the pace of two cores, which may be far from this machine's, no
+/// longer counts.
+const GUESSED_SHARE: f64 = 0.1;
+/// Least rise of the time left within a stage that is told: steps scatter.
+const LEAST_RISE: f64 = 1.3;
+
+/// The tools of a run, by the speed of which parts differ.
+#[derive(Clone, Debug, Default)]
+pub struct By {
+    pub adapter: String,
+    pub network: String,
+    pub poses: String,
+}
+
+impl By {
+    fn of(&self, part: Part) -> &str {
+        match part {
+            Part::Poses => &self.poses,
+            Part::Deblur => &self.network,
+            _ => &self.adapter,
+        }
+    }
+}
+
+/// Follows the events of a run.
 #[derive(Clone, Debug)]
 pub struct Plan {
-    poses: f64,
-    /// The part of `poses` that is still to do; 0 once the poses are found.
-    poses_left: f64,
-    round: Vec<(Stage, f64)>,
-    rounds: u32,
-    /// Whether a network brightens the views once before the rounds.
-    brightens: bool,
-    done: f64,
-    current: f64,
-    skipped: f64,
-    started: Instant,
+    job: Job,
+    history: History,
+    by: By,
+    /// Work and seconds by round and part, of this run.
+    measured: BTreeMap<(u32, Part), (f64, f64)>,
+    done: Vec<(u32, Stage)>,
+    running: Option<Running>,
+    progress: f64,
+    eta: Option<f64>,
+}
+
+/// The stage that runs.
+#[derive(Clone, Copy, Debug)]
+struct Running {
+    stage: Stage,
+    round: u32,
+    began: f64,
+    /// Share and time of the first report, before which an earlier process may have made a part.
+    first: Option<(f64, f64)>,
+    /// Share and time of the last report.
+    last: (f64, f64),
+    /// Whether its time counts: an earlier run did not make its result.
+    counts: bool,
+}
+
+impl Running {
+    /// Seconds of the whole stage at its own pace, which replaces what was `expected` as it goes
+    /// on.
+    fn total(&self, expected: f64, is_known: bool) -> f64 {
+        let (first, since) = self.first.unwrap_or(self.last);
+        let (share, seconds) = (self.last.0 - first, self.last.1 - since);
+        let weight = if is_known {
+            KNOWN_SHARE
+        } else {
+            KNOWN_SHARE * (GUESSED_SHARE - share).max(f64::EPSILON)
+        };
+        if expected > 0.0 {
+            (weight * expected + seconds) / (weight + share)
+        } else if share > 0.0 {
+            seconds / share
+        } else {
+            0.0
+        }
+    }
+
+    /// Whether it is the search for poses before the rounds, and not over.
+    fn seeks_poses(&self) -> bool {
+        self.stage == Stage::Poses && self.round == 0 && self.last.0 < 1.0
+    }
+}
+
+/// How far a stage is.
+struct Advanced {
+    stage: Stage,
+    done: u64,
+    total: u64,
+    /// Steps a second.
+    per_second: Option<f64>,
 }
 
 impl Plan {
-    /// Plan for `views` working images of `pixels` each.
-    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
-        let (views, megapixels) = (views as f64, pixels as f64 / 1e6);
-        let noise = match options.noise {
-            NoiseMode::Off => 1.0,
-            NoiseMode::Paper => 30.0,
-        };
-        let splats = f64::from(options.cap) / 1e5;
-        let step = (0.02 + 0.8 * megapixels + 0.15 * splats) * noise;
-        let round = vec![
-            (Stage::Enhance, 0.05 * views * megapixels.max(0.05)),
-            (Stage::Deblur, 0.6 * views * megapixels),
-            (Stage::Reconstruct, step * f64::from(options.steps)),
-            (Stage::Render, 0.6 * views * megapixels),
-            (Stage::Evaluate, 1.5 * views * megapixels),
-            (Stage::Match, 1.0),
-        ];
+    /// Plan for `views` photographs of `pixels` in all, at working size.
+    pub fn new(options: &Options, views: usize, pixels: usize, by: By, history: History) -> Self {
         Self {
-            poses: 2.2 * views,
-            poses_left: 2.2 * views,
-            round,
-            rounds: options.rounds,
-            brightens: options.enhance != NetworkChoice::Curve,
-            done: 0.0,
-            current: 0.0,
-            skipped: 0.0,
-            started: Instant::now(),
+            job: Job::new(options, views, pixels),
+            history,
+            by,
+            measured: BTreeMap::new(),
+            done: Vec::new(),
+            running: None,
+            progress: 0.0,
+            eta: None,
         }
     }
 
-    /// Changes the planned number of rounds.
-    pub fn set_rounds(&mut self, rounds: u32) {
-        self.rounds = rounds;
-    }
-
-    /// Multiplies the planned steps of each round.
-    pub fn multiply_steps(&mut self, times: f64) {
-        let train = self.round.iter_mut();
-        for (_, weight) in train.filter(|(stage, _)| *stage == Stage::Reconstruct) {
-            *weight *= times;
+    /// Takes an event at a time in seconds; whether progress is to be told.
+    pub fn take(&mut self, at: f64, event: &Event) -> bool {
+        match event {
+            Event::Planned {
+                rounds,
+                views,
+                shake,
+            } => self.job.replan(*rounds, *views, *shake),
+            Event::StageStarted { stage, round } => {
+                self.close(at);
+                self.eta = None;
+                self.running = Some(Running {
+                    stage: *stage,
+                    round: *round,
+                    began: at,
+                    first: None,
+                    last: (0.0, at),
+                    counts: true,
+                });
+            }
+            Event::StageAdvanced {
+                stage,
+                done,
+                total,
+                steps_per_second,
+                ..
+            } => {
+                let advanced = Advanced {
+                    stage: *stage,
+                    done: *done,
+                    total: *total,
+                    per_second: *steps_per_second,
+                };
+                self.advance(at, &advanced);
+            }
+            Event::StageFinished { skipped, .. } => {
+                if let Some(running) = &mut self.running {
+                    running.last = (1.0, at);
+                    running.counts &= !skipped;
+                }
+            }
+            Event::RoundFinished { metrics } => {
+                self.learn(metrics);
+                return false;
+            }
+            Event::Finished { .. } => self.end(at),
+            _ => return false,
         }
+        self.estimate(at);
+        true
     }
 
-    fn weight(&self, stage: Stage) -> f64 {
-        if stage == Stage::Poses {
-            return self.poses_left;
-        }
-        self.round
-            .iter()
-            .find(|(other, _)| *other == stage)
-            .map_or(0.0, |(_, weight)| *weight)
-    }
-
-    fn total(&self) -> f64 {
-        let before = if self.brightens {
-            self.weight(Stage::Enhance)
-        } else {
-            0.0
+    fn advance(&mut self, at: f64, event: &Advanced) {
+        let Some(mut running) = self.running.filter(|running| running.stage == event.stage) else {
+            return;
         };
-        self.poses
-            + before
-            + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
-    }
-
-    /// Records that `share` (0..=1) of a stage is done, and reports progress.
-    pub fn advance(&mut self, stage: Stage, share: f64, sink: &mut dyn ProgressSink) {
-        self.current = self.weight(stage) * share.clamp(0.0, 1.0);
-        self.tell(sink);
-    }
-
-    /// Records that a stage is over. `skipped` work does not count towards the run's speed.
-    pub fn finish(&mut self, stage: Stage, skipped: bool, sink: &mut dyn ProgressSink) {
-        let weight = self.weight(stage);
-        if stage == Stage::Poses {
-            // Late views may be searched for after every round; the plan does not include them.
-            self.poses_left = 0.0;
+        let share = match event.stage {
+            // Steps on small images are cheaper, and there is work between them.
+            Stage::Reconstruct => {
+                let before = self.job.training(running.round, event.done as u32);
+                self.seconds(&before) / self.seconds(&self.job.of(event.stage, running.round))
+            }
+            _ => event.done as f64 / event.total.max(1) as f64,
+        };
+        if event.stage == Stage::Poses {
+            self.job.count_pairs(event.total);
         }
-        self.done += weight;
-        self.current = 0.0;
-        if skipped {
-            self.skipped += weight;
+        // More steps than its time allows: an earlier process made some of them.
+        if event
+            .per_second
+            .is_some_and(|rate| event.done as f64 / rate > at - running.began)
+        {
+            running.counts = false;
         }
-        self.tell(sink);
+        // A tool that tries another way begins to count anew.
+        if share > running.last.0 {
+            running.first.get_or_insert((share, at));
+            running.last = (share, at);
+        }
+        self.running = Some(running);
     }
 
-    fn tell(&self, sink: &mut dyn ProgressSink) {
-        let reached = self.done + self.current;
-        let progress = (reached / self.total()).clamp(0.0, 1.0);
-        let worked = reached - self.skipped;
-        let elapsed = self.started.elapsed().as_secs_f64();
-        let eta_seconds = (worked > 0.0 && elapsed > 2.0)
-            .then(|| (self.total() - reached).max(0.0) * elapsed / worked);
-        sink.event(&Event::Progress {
-            progress,
-            eta_seconds,
+    /// The stage that ran is over. Its time includes that up to the next stage.
+    fn close(&mut self, at: f64) {
+        let Some(running) = self.running.take() else {
+            return;
+        };
+        let work = self.job.of(running.stage, running.round);
+        let expected = self.seconds(&work);
+        if running.counts && expected > 0.0 {
+            let drift = (at - running.began) / expected;
+            let cost = |(part, work)| (part, (work, drift * work * self.pace(part)));
+            let costs: Vec<_> = work.into_iter().map(cost).collect();
+            let costs = costs.into_iter();
+            self.measured
+                .extend(costs.map(|(part, cost)| ((running.round, part), cost)));
+        }
+        self.done.push((running.round, running.stage));
+    }
+
+    /// Tells the parts of a round's training apart.
+    fn learn(&mut self, metrics: &RoundMetrics) {
+        let has_kernel =
+            |view: &&ViewScore| view.split == Some(Split::Train) && view.is_shaken == Some(true);
+        let kernels = metrics.views.iter().filter(has_kernel).count();
+        self.job.expect_kernels(kernels as u32);
+        let Some(between) = metrics.between else {
+            return;
+        };
+        let stepping = metrics.steps as f64 / metrics.steps_per_second;
+        let of = |part| self.measured.get(&(metrics.round, part));
+        let whole: f64 = { Part::TRAINING.into_iter().filter_map(of) }
+            .map(|(_, seconds)| seconds)
+            .sum();
+        let seconds = [
+            stepping - between.kernels - between.cameras,
+            between.kernels,
+            between.cameras + whole - stepping,
+        ];
+        for (part, seconds) in Part::TRAINING.into_iter().zip(seconds) {
+            if let Some(cost) = self.measured.get_mut(&(metrics.round, part)) {
+                cost.1 = seconds.max(0.0);
+            }
+        }
+    }
+
+    /// The run is over: the next one learns from it.
+    fn end(&mut self, at: f64) {
+        self.close(at);
+        let mut parts: BTreeMap<Part, (f64, f64)> = BTreeMap::new();
+        for ((_, part), (work, seconds)) in &self.measured {
+            let sum = parts.entry(*part).or_default();
+            *sum = (sum.0 + work, sum.1 + seconds);
+        }
+        let cost = |(part, (work, seconds))| Cost {
+            part,
+            by: self.by.of(part).to_owned(),
+            work,
+            seconds,
+        };
+        self.history.add(parts.into_iter().map(cost).collect());
+        (self.progress, self.eta) = (1.0, Some(0.0));
+    }
+
+    /// Reckons progress and time left.
+    fn estimate(&mut self, at: f64) {
+        let Some(running) = self.running else {
+            return;
+        };
+        let work = self.job.of(running.stage, running.round);
+        let expected = self.seconds(&work);
+        let mut parts = work.iter().filter(|(_, work)| *work > 0.0);
+        let is_known = parts.all(|(part, _)| self.known_pace(*part).is_some());
+        let total = running.total(expected, is_known);
+        let done = total * running.last.0;
+        let (mut before, mut after) = (0.0, 0.0);
+        for (round, stage) in self.job.stages() {
+            let seconds = self.seconds(&self.job.of(stage, round));
+            if self.done.contains(&(round, stage)) {
+                before += seconds;
+            } else if (round, stage) != (running.round, running.stage) {
+                let drifts = stage == running.stage && expected > 0.0;
+                after += seconds * if drifts { total / expected } else { 1.0 };
+            }
+        }
+        let progress = (before + done) / (before + total + after);
+        if progress.is_finite() {
+            self.progress = self.progress.max(progress.min(1.0));
+        }
+        let left = if running.seeks_poses() {
+            // Only earlier runs tell how long COLMAP takes once the pairs are matched.
+            let left = expected - (at - running.began);
+            (is_known && self.job.knows_pairs() && left > 0.0).then_some(left)
+        } else {
+            Some(total - done)
+        };
+        let eta = left.map(|left| left + after);
+        self.eta = match (self.eta, eta) {
+            (Some(told), Some(eta)) if eta > told && eta < LEAST_RISE * told => Some(told),
+            _ => eta,
+        };
+    }
+
+    /// Seconds of a part for a unit of its work: of this run, or of this machine's last ones.
+    fn known_pace(&self, part: Part) -> Option<f64> {
+        let costs = self
+            .measured
+            .iter()
+            .filter(|((_, other), _)| *other == part);
+        let (work, seconds) = costs.fold((0.0, 0.0), |sum, (_, (work, seconds))| {
+            (sum.0 + work, sum.1 + seconds)
         });
+        let here = (work > 0.0).then(|| seconds / work);
+        here.or_else(|| self.history.pace(part, self.by.of(part)))
+    }
+
+    /// That of two cores where nothing is known.
+    fn pace(&self, part: Part) -> f64 {
+        self.known_pace(part).unwrap_or(1.0)
+    }
+
+    fn seconds(&self, work: &Work) -> f64 {
+        let of = |(part, work): &(Part, f64)| work * self.pace(*part);
+        work.iter().map(of).sum()
+    }
+
+    /// Progress and time left as an event.
+    pub fn told(&self) -> Event {
+        Event::Progress {
+            progress: self.progress,
+            eta_seconds: self.eta,
+        }
+    }
+
+    pub fn history(&self) -> &History {
+        &self.history
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn progress_never_falls_and_ends_at_one() {
-        let options = Options {
-            rounds: 2,
-            ..Options::default()
-        };
-        let mut plan = Plan::new(&options, 20, 45_000);
-        let mut seen = Vec::new();
-        let mut sink = |event: &Event| {
-            if let Event::Progress { progress, .. } = event {
-                seen.push(*progress);
-            }
-        };
-        plan.finish(Stage::Poses, false, &mut sink);
-        for _ in 0..2 {
-            for stage in [
-                Stage::Enhance,
-                Stage::Deblur,
-                Stage::Reconstruct,
-                Stage::Render,
-                Stage::Evaluate,
-                Stage::Match,
-            ] {
-                plan.advance(stage, 0.5, &mut sink);
-                plan.finish(stage, false, &mut sink);
-            }
-            // Late views.
-            plan.advance(Stage::Poses, 0.5, &mut sink);
-            plan.finish(Stage::Poses, false, &mut sink);
-        }
-        assert!(seen.windows(2).all(|pair| pair[0] <= pair[1]), "{seen:?}");
-        assert!((seen.last().expect("some") - 1.0).abs() < 1e-9);
-    }
-
-    #[test]
-    fn one_round_with_the_steps_of_two_trains_as_long() {
-        let options = Options::default();
-        let two = Plan::new(&options, 20, 45_000);
-        let mut one = two.clone();
-        one.set_rounds(1);
-        one.multiply_steps(2.0);
-        let training = |plan: &Plan| f64::from(plan.rounds) * plan.weight(Stage::Reconstruct);
-        assert!((training(&one) - training(&two)).abs() < 1e-9);
-        assert!(one.total() < two.total());
-    }
-}
+mod tests;

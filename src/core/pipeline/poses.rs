@@ -36,7 +36,7 @@ pub fn poses(
     let depends_on =
         PosesDependencies::new(options, &capture.fingerprint, &source, &tools.networks());
     let cache = Cache {
-        folder: tools.pose_cache.clone(),
+        folder: tools.cache.as_ref().map(|cache| cache.join("poses")),
         depends_on: &depends_on,
     };
     let path = context.workspace.folder().work().found_poses();

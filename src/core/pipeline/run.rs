@@ -11,7 +11,7 @@ use super::evaluate::{Finished, RoundImages, evaluate};
 use super::explained::{self, explained, trained_on, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::Plan;
+use super::plan::{By, History, Plan, Teller};
 use super::poses::{poses, publish};
 use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
@@ -21,7 +21,7 @@ use super::tools::Tools;
 use super::views::{self, View};
 use super::workspace::Workspace;
 use crate::cancel::CancelToken;
-use crate::capture::Capture;
+use crate::capture::{Capture, CaptureView};
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
 use crate::metrics::{CaptureShake, Report};
@@ -90,6 +90,7 @@ pub fn run(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
+    let sink = &mut teller(capture, options, tools, workspace, sink);
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
@@ -112,15 +113,19 @@ pub fn run(
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
-    let in_effect = shaken::in_effect(options, shaken.as_ref());
+    let in_effect = shaken::in_effect(options, report.capture_shake);
     let asked = Asked {
         capture,
         options: &in_effect,
         shaken: shaken.as_ref(),
     };
+    let rounds = if asked.is_still() { 1 } else { options.rounds };
+    context.sink.event(&Event::Planned {
+        rounds,
+        views: state.views.len() as u32,
+        shake: report.capture_shake,
+    });
     if asked.is_still() {
-        context.plan_rounds(1, state.views.len());
-        context.multiply_steps(f64::from(in_effect.steps) / f64::from(options.steps));
         state = RoundState::new(context, asked, tools, state.poses, state.views)?;
     }
     let mut before: Option<Handover> = None;
@@ -244,7 +249,11 @@ fn round(
         return Ok(next.map(|next| Handover::new(next, scene, on)));
     };
     report::place(report, &poses);
-    context.plan_rounds(asked.options.rounds, views.len());
+    context.sink.event(&Event::Planned {
+        rounds: asked.options.rounds,
+        views: views.len() as u32,
+        shake: report.capture_shake,
+    });
     *state = RoundState::new(context, asked, tools, poses, views)?;
     state.hand_over(context, tools, turn.index, scene, on)
 }
@@ -326,6 +335,7 @@ pub fn find_poses(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
+    let sink = &mut teller(capture, options, tools, workspace, sink);
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     publish(workspace, &poses)?;
@@ -343,15 +353,10 @@ fn begin<'a>(
 ) -> Result<Context<'a>, PipelineError> {
     cancel.check()?;
     workspace.write_json(&workspace.folder().config(), options)?;
-    let views = capture.views.len();
-    let pixels = capture.views.first().map_or(0, |view| {
-        let size = options.size as usize;
-        let (width, height) = views::working_size(view.width, view.height, size);
-        width * height
-    });
     sink.event(&Event::Planned {
         rounds: options.rounds,
-        views: views as u32,
+        views: capture.views.len() as u32,
+        shake: None,
     });
     sink.log(format!("adapter: {}", tools.gpu.describe()));
     for (option, network) in tools.networks().named() {
@@ -360,6 +365,30 @@ fn begin<'a>(
     for fallback in &tools.fallbacks {
         sink.warn("fallback", fallback.clone());
     }
-    let plan = Plan::new(options, views, pixels);
-    Ok(Context::new(workspace, sink, cancel, plan))
+    Ok(Context::new(workspace, sink, cancel))
+}
+
+/// Adds progress and time left to the events of the run.
+fn teller<'a>(
+    capture: &Capture,
+    options: &Options,
+    tools: &Tools<'_>,
+    workspace: &'a Workspace,
+    sink: &'a mut dyn ProgressSink,
+) -> Teller<'a> {
+    let size = options.size as usize;
+    let pixels = |view: &CaptureView| {
+        let (width, height) = views::working_size(view.width, view.height, size);
+        width * height
+    };
+    let pixels = capture.views.iter().map(pixels).sum();
+    let network = tools.networks().deblur;
+    let by = By {
+        adapter: tools.gpu.describe().to_string(),
+        network: format!("{} on {}", network.id, network.provider),
+        poses: tools.sfm.describe(),
+    };
+    let history = History::open(tools.cache.as_deref(), workspace);
+    let plan = Plan::new(options, capture.views.len(), pixels, by, history);
+    Teller::new(sink, workspace, plan)
 }

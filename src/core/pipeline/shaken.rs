@@ -31,7 +31,7 @@ const TOLD_SIDE: f64 = 560.0;
 /// that is too small for kernels.
 const SOFT_FROM: f64 = 0.57;
 /// The share of shaken views from which kernels pay off.
-const SHAKEN_SHARE: f64 = 0.6;
+pub const SHAKEN_SHARE: f64 = 0.6;
 
 /// Scales a length to the size of the image. A shake grows with the image and noise does not: the
 /// square root lies between the two.
@@ -57,7 +57,7 @@ pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec
 
 /// Whether the options require a verdict before the rounds: only where both the kernels and the
 /// network depend on it.
-fn asks(options: &Options) -> bool {
+pub fn asks(options: &Options) -> bool {
     options.shake == ShakeModel::Late
         && options.train_on == TrainOn::Auto
         && options.deblur != NetworkChoice::Identity
@@ -147,9 +147,9 @@ pub fn shaken(
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
 /// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
 /// (docs/decisions/cameras.md).
-pub fn in_effect(options: &Options, shaken: Option<&Shaken>) -> Options {
+pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
     let mut options = options.clone();
-    match shaken.map(Shaken::verdict) {
+    match verdict {
         Some(CaptureShake::Still) => {
             options.refine_poses = false;
             options.steps = options.steps.saturating_mul(options.rounds);
@@ -196,12 +196,12 @@ mod tests {
     #[test]
     fn shake_decides_the_rounds_of_a_capture() {
         let options = Options::default();
-        let still = in_effect(&options, Some(&of(&[0.1, 0.2, 1.0])));
+        let still = in_effect(&options, Some(CaptureShake::Still));
         assert!(!still.refine_poses);
         assert_eq!(still.steps, options.steps * options.rounds);
-        let soft = in_effect(&options, Some(&of(&[0.6, 0.7])));
+        let soft = in_effect(&options, Some(CaptureShake::Soft));
         assert_eq!(soft.shake, ShakeModel::Off);
-        assert_eq!(in_effect(&options, Some(&of(&[1.0, 1.1]))), options);
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken)), options);
         assert_eq!(in_effect(&options, None), options);
     }
 

@@ -21,9 +21,9 @@ pub struct Tools<'a> {
     pub enhancer: Option<&'a mut dyn Restorer>,
     /// The substitutes already in use for tools that were requested, one sentence each.
     pub fallbacks: Vec<String>,
-    /// Folder in which poses are cached between runs. COLMAP draws from the system's entropy, so
-    /// its answer differs from run to run; the cache makes equal runs equal.
-    pub pose_cache: Option<PathBuf>,
+    /// Folder that keeps poses and the costs of stages between runs. COLMAP draws from the system's
+    /// entropy, so its answer differs from run to run; the cache makes equal runs equal.
+    pub cache: Option<PathBuf>,
 }
 
 impl Tools<'_> {

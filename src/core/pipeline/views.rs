@@ -19,7 +19,7 @@ use crate::run_folder::RoundPictures;
 pub const LEAST_VIEWS: usize = 3;
 
 /// Number of views from which every 8th is held out by default; the published split.
-const HELD_OUT_FROM: usize = 12;
+pub const HELD_OUT_FROM: usize = 12;
 
 /// One registered view at working size, undistorted.
 #[derive(Clone, Debug)]

@@ -11,7 +11,7 @@ use crate::gaussians::Gaussians;
 use crate::shake::Response;
 
 /// Number of corrections of a view that did not train.
-const CORRECTIONS: u32 = 4;
+pub const CORRECTIONS: u32 = 4;
 
 /// A fixed scene with photographs kept out of training, whose poses would otherwise be less
 /// accurate than those of training views. It only renders forward: nothing of the photographs

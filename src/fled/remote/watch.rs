@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use super::Remote;
 use crate::failure::Failure;
-use crate::progress::{name, overall_bar, round_lines};
+use crate::progress::{name, overall_bar, round_lines, show_progress};
 
 /// Time between two requests for the job.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -81,7 +81,8 @@ pub fn watch(remote: &Remote, id: &str) -> Result<(), Failure> {
     loop {
         let job: Job = remote.json(&format!("/v1/jobs/{id}"))?;
         told.news(&job, &screen);
-        screen.bar.set_position((job.progress * 1000.0) as u64);
+        let left = job.eta_seconds.filter(|_| job.state == "running");
+        show_progress(&screen.bar, job.progress, left);
         screen.bar.set_message(doing(&job));
         match job.state.as_str() {
             "succeeded" => {
@@ -184,7 +185,6 @@ fn doing(job: &Job) -> String {
     let rate = job
         .steps_per_second
         .map(|rate| format!("{rate:.1} steps/s"));
-    let left = job.eta_seconds.map(|left| format!("{left:.0} s left"));
-    let parts: Vec<String> = [stage, rate, left].into_iter().flatten().collect();
+    let parts: Vec<String> = [stage, rate].into_iter().flatten().collect();
     parts.join(", ")
 }

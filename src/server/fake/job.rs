@@ -81,6 +81,7 @@ impl Job {
         tell(&Event::Planned {
             rounds: self.options.rounds,
             views: self.names.len() as u32,
+            shake: None,
         });
         match self.plan.as_str() {
             "few_poses" => {

@@ -50,7 +50,7 @@ pub struct Progress {
     pub steps_per_second: Option<f64>,
     /// Fraction of the whole job, 0..=1, if updated.
     pub progress: Option<f64>,
-    /// Seconds left, if updated.
+    /// Seconds left, updated with the fraction; `None` where nobody knows.
     pub eta_seconds: Option<f64>,
 }
 
@@ -202,7 +202,7 @@ pub(super) async fn advance(tx: &mut Tx, job: &str, progress: &Progress) -> Resu
         "UPDATE jobs SET stage = COALESCE($1, stage), round = COALESCE($2, round),
                 steps_per_second = CASE WHEN $3 >= 0 THEN $3 END,
                 progress = CASE WHEN $4 > progress THEN $4 ELSE progress END,
-                eta_seconds = CASE WHEN $5 >= 0 THEN $5 ELSE eta_seconds END
+                eta_seconds = CASE WHEN $5 >= 0 THEN $5 WHEN $4 < 0 THEN eta_seconds END
          WHERE id = $6 RETURNING stage, round, progress, eta_seconds",
     )
     .bind(stage.map(|(stage, ..)| stage.name()))

@@ -22,7 +22,7 @@ pub(super) fn is_milestone(event: &Event) -> bool {
 
 pub(super) fn readable(event: &Event) -> String {
     match event {
-        Event::Planned { rounds, views } => format!("planned {rounds} rounds of {views} views"),
+        Event::Planned { rounds, views, .. } => format!("planned {rounds} rounds of {views} views"),
         Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
         Event::StageFinished {
             stage,

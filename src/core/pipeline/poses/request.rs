@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use crate::event::Stage;
 use crate::pipeline::context::Context;
 use crate::pipeline::tools::Tools;
 use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
@@ -23,8 +22,5 @@ pub fn ask(
         work_dir,
         seed,
     };
-    let cancel = context.cancel;
-    tools
-        .sfm
-        .poses(&request, &mut context.sink_of(Stage::Poses), cancel)
+    tools.sfm.poses(&request, context.sink, context.cancel)
 }

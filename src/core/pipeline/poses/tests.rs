@@ -7,7 +7,6 @@ use crate::deblur::{DeblurError, Identity, Restorer, RestorerInfo};
 use crate::event::{Event, Silent};
 use crate::image::Image;
 use crate::photo_path::PhotoPath;
-use crate::pipeline::plan::Plan;
 use crate::pipeline::tools::Networks;
 use crate::pipeline::workspace::Workspace;
 use crate::poses::{Distortion, Lens, PoseRequest, PosedView, Sfm};
@@ -118,7 +117,7 @@ fn found_with(
         deblurrer,
         enhancer: None,
         fallbacks: Vec::new(),
-        pose_cache: None,
+        cache: None,
     };
     let mut sink = |event: &Event| {
         if let Event::Warning { code, message } = event {
@@ -126,12 +125,7 @@ fn found_with(
         }
     };
     let (options, cancel) = (Options::default(), CancelToken::new());
-    let mut context = Context::new(
-        &workspace,
-        &mut sink,
-        &cancel,
-        Plan::new(&options, capture.views.len(), 1000),
-    );
+    let mut context = Context::new(&workspace, &mut sink, &cancel);
     let found = poses(&mut context, &capture, &options, &mut tools);
     (found, warnings, sfm)
 }

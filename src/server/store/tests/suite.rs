@@ -175,6 +175,29 @@ async fn progress_resets_the_count_of_failures() {
 }
 
 #[tokio::test]
+async fn an_unknown_time_left_replaces_a_known_one() {
+    let (_dir, store) = store().await;
+    create(&store, "j").await;
+    let claim = store.claim("one", 60_000, &[]).await.expect("claim");
+    let lease = claim.expect("job").lease;
+    for (progress, told, expected) in [
+        (Some(0.1), Some(60.0), Some(60.0)),
+        // Only the stage advanced.
+        (None, None, Some(60.0)),
+        (Some(0.2), None, None),
+    ] {
+        let step = Progress {
+            progress,
+            eta_seconds: told,
+            ..Default::default()
+        };
+        store.advance(&lease, &step).await.expect("advance");
+        let job = store.job("j").await.expect("read").expect("job");
+        assert_eq!(job.eta_seconds, expected);
+    }
+}
+
+#[tokio::test]
 async fn deleting_a_job_deletes_its_rows_but_a_used_capture_stays() {
     let (_dir, store) = store().await;
     create(&store, "j").await;

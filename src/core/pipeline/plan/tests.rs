@@ -1,0 +1,403 @@
+//! The time left of recorded runs (tests/golden/time_left.py), and of runs that go evenly.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+use super::*;
+use crate::deblur::NetworkChoice;
+use crate::event::ProgressSink;
+use crate::pipeline::workspace::Workspace;
+
+/// Share by which the time left may be wrong, and seconds near the end.
+const WRONG_BY: f64 = 0.3;
+const WRONG_BY_SECONDS: f64 = 1.0;
+
+/// The first line of a recording.
+#[derive(Deserialize)]
+struct Header {
+    options: Map<String, Value>,
+    views: usize,
+    pixels: usize,
+}
+
+/// A recorded run.
+struct Recording {
+    header: Header,
+    events: Vec<(f64, Event)>,
+}
+
+impl Recording {
+    fn read(number: usize) -> Self {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/time_left");
+        let text = std::fs::read_to_string(folder.join(format!("{number}.jsonl"))).expect("read");
+        let (header, events) = text.split_once('\n').expect("a line of the run");
+        let event = |line| serde_json::from_str(line).expect("seconds and an event");
+        Self {
+            header: serde_json::from_str(header).expect("a header"),
+            events: events.lines().map(event).collect(),
+        }
+    }
+
+    fn plan(&self, history: History) -> Plan {
+        let options = Options::default().with_overrides(&self.header.options);
+        let options = options.expect("valid options");
+        let by = By {
+            adapter: "a".to_owned(),
+            network: options.deblur.as_str().to_owned(),
+            poses: format!("{:?}", options.pose_source),
+        };
+        Plan::new(&options, self.header.views, self.header.pixels, by, history)
+    }
+}
+
+/// A moment of a replayed run.
+struct Moment {
+    at: f64,
+    stage: Stage,
+    round: u32,
+    progress: f64,
+    eta: Option<f64>,
+    /// Whether the stage is over.
+    is_over: bool,
+    /// Whether the number of rounds is still open.
+    is_open: bool,
+}
+
+/// All moments at which the run tells how far it is.
+fn replay(events: &[(f64, Event)], plan: &mut Plan) -> Vec<Moment> {
+    let mut moments = Vec::new();
+    for (at, event) in events {
+        if !plan.take(*at, event) {
+            continue;
+        }
+        let Some(Running {
+            stage, round, last, ..
+        }) = plan.running
+        else {
+            continue;
+        };
+        moments.push(Moment {
+            at: *at,
+            stage,
+            round,
+            progress: plan.progress,
+            eta: plan.eta,
+            is_over: last.0 == 1.0,
+            is_open: round == 0 && plan.job.stages().contains(&(0, Stage::Deblur)),
+        });
+    }
+    moments
+}
+
+/// The moments whose time left is wrong. As long as the shake may still decide for fewer rounds,
+/// only too little is wrong.
+fn faults(moments: &[Moment], end: f64) -> Vec<String> {
+    let after = moments
+        .iter()
+        .skip_while(|moment| moment.stage == Stage::Poses && !moment.is_over);
+    let wrong = |moment: &&Moment| {
+        let truth = end - moment.at;
+        let Some(eta) = moment.eta else { return true };
+        let room = (WRONG_BY * truth).max(WRONG_BY_SECONDS);
+        eta < truth - room || (eta > truth + room && !moment.is_open)
+    };
+    let told = |moment: &Moment| {
+        let Moment {
+            at,
+            stage,
+            round,
+            eta,
+            ..
+        } = moment;
+        let truth = end - at;
+        format!("{at:.1} s, {stage:?} of round {round}: {eta:.1?} s left, not {truth:.1} s")
+    };
+    after.filter(wrong).map(told).collect()
+}
+
+#[test]
+fn ten_recorded_runs_tell_a_time_left_that_is_true() {
+    let mut history = History::default();
+    let mut wrong = Vec::new();
+    for number in 0..10 {
+        let recording = Recording::read(number);
+        let mut plan = recording.plan(history.clone());
+        let moments = replay(&recording.events, &mut plan);
+        let (end, _) = recording.events.last().expect("an end");
+        let faults = faults(&moments, *end);
+        wrong.extend(
+            faults
+                .into_iter()
+                .map(|fault| format!("run {number} at {fault}")),
+        );
+        assert!(
+            moments
+                .windows(2)
+                .all(|pair| pair[0].progress <= pair[1].progress)
+        );
+        assert_eq!((plan.progress, plan.eta), (1.0, Some(0.0)));
+        history = plan.history().clone();
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn a_time_left_that_is_half_or_missing_is_found() {
+    let recording = Recording::read(0);
+    let mut plan = recording.plan(History::default());
+    let (end, _) = recording.events.last().expect("an end");
+    let mut moments = replay(&recording.events, &mut plan);
+    assert!(faults(&moments, *end).is_empty());
+    moments[40].eta = moments[40].eta.map(|eta| eta / 2.0);
+    moments[50].eta = None;
+    assert_eq!(faults(&moments, *end).len(), 2);
+}
+
+/// Events of one round of training by evenly made steps, `slowness` times as long as expected.
+fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
+    let (stage, round, steps) = (Stage::Reconstruct, 1, plan.job.steps());
+    let mut events = vec![(0.0, Event::StageStarted { stage, round })];
+    for done in 1..=steps {
+        let work = plan.job.training(round, done);
+        let advanced = Event::StageAdvanced {
+            stage,
+            round,
+            done: u64::from(done),
+            total: u64::from(steps),
+            steps_per_second: None,
+        };
+        events.push((slowness * plan.seconds(&work), advanced));
+    }
+    events
+}
+
+fn fresh(history: History) -> Plan {
+    let options = Options {
+        steps: 300,
+        deblur: NetworkChoice::Identity,
+        ..Options::default()
+    };
+    Plan::new(&options, 12, 12 * 240 * 136, By::default(), history)
+}
+
+fn with_poses(history: History) -> Plan {
+    let mut plan = fresh(history);
+    plan.done.push((0, Stage::Poses));
+    plan
+}
+
+/// The history of a run whose parts all took `pace` times as long as on two cores.
+fn history_of(pace: f64) -> History {
+    let parts = [Part::Poses, Part::Steps, Part::Kernels, Part::Cameras];
+    let cost = |part| Cost {
+        part,
+        by: String::new(),
+        work: 10.0,
+        seconds: 10.0 * pace,
+    };
+    let mut history = History::default();
+    history.add(parts.map(cost).into());
+    history
+}
+
+#[test]
+fn time_left_never_rises_while_steps_go_on_evenly() {
+    for slowness in [0.1, 0.5, 0.9, 1.1, 1.5] {
+        let mut plan = with_poses(history_of(1.0));
+        let moments = replay(&even_training(&plan, slowness), &mut plan);
+        let left: Vec<f64> = moments.iter().filter_map(|moment| moment.eta).collect();
+        assert_eq!(left.len(), moments.len());
+        assert!(
+            left.windows(2).all(|pair| pair[1] <= pair[0]),
+            "{slowness}: {left:.1?}"
+        );
+    }
+}
+
+#[test]
+fn a_tenth_of_a_first_training_shows_how_long_it_takes() {
+    for slowness in [0.02, 8.0] {
+        let mut plan = with_poses(History::default());
+        let events = even_training(&plan, slowness);
+        let whole = events.last().expect("steps").0;
+        let moments = replay(&events, &mut plan);
+        let late: Vec<_> = moments
+            .iter()
+            .filter(|moment| moment.at > 0.1 * whole)
+            .collect();
+        let left = |moment: &&Moment| moment.eta.expect("known");
+        assert!(late.windows(2).all(|pair| left(&pair[1]) <= left(&pair[0])));
+        // The second round goes on as the first, and nothing is known of the other stages.
+        let left_of = |(round, stage): (u32, Stage)| match (stage, round) {
+            (Stage::Poses, _) | (Stage::Reconstruct, 1) => 0.0,
+            (Stage::Reconstruct, _) => slowness * plan.seconds(&plan.job.of(stage, round)),
+            _ => plan.seconds(&plan.job.of(stage, round)),
+        };
+        let after: f64 = plan.job.stages().into_iter().map(left_of).sum();
+        let truth = whole - late[0].at + after;
+        assert!(
+            (left(&late[0]) / truth - 1.0).abs() < 0.3,
+            "{} {truth}",
+            left(&late[0])
+        );
+    }
+}
+
+fn poses(done: u64, total: u64) -> Event {
+    Event::advanced(Stage::Poses, done, total)
+}
+
+#[test]
+fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
+    let begins = Event::StageStarted {
+        stage: Stage::Poses,
+        round: 0,
+    };
+    let told = |history, events: &[(f64, Event)]| {
+        let mut plan = fresh(history);
+        plan.take(0.0, &begins);
+        events.iter().for_each(|(at, event)| {
+            plan.take(*at, event);
+        });
+        plan.eta
+    };
+    let counted = [(1.0, poses(1, 78))];
+    assert_eq!(
+        told(History::default(), &counted),
+        None,
+        "no run has shown how long"
+    );
+    let left = told(history_of(1.0), &counted).expect("known");
+    let twice = told(history_of(2.0), &counted).expect("known");
+    assert!(twice > 1.5 * left, "{twice} {left}");
+    let thirds = [(1.0, poses(1, 3))];
+    assert_eq!(told(history_of(1.0), &thirds), None, "thirds of a strategy");
+    let late = [(1.0, poses(1, 78)), (1000.0, poses(78, 78 + 1))];
+    assert_eq!(
+        told(history_of(1.0), &late),
+        None,
+        "it takes longer than ever"
+    );
+}
+
+#[test]
+fn progress_goes_forwards_where_a_tool_counts_anew() {
+    let mut plan = fresh(History::default());
+    let begins = Event::StageStarted {
+        stage: Stage::Poses,
+        round: 0,
+    };
+    plan.take(0.0, &begins);
+    let mut progress = Vec::new();
+    for (at, event) in [
+        (1.0, poses(1, 4)),
+        (2.0, poses(3, 4)),
+        (3.0, poses(1, 6)),
+        (4.0, Event::advanced(Stage::Deblur, 6, 6)),
+        (5.0, poses(5, 6)),
+    ] {
+        plan.take(at, &event);
+        progress.push(plan.progress);
+    }
+    assert!(
+        progress[0] < progress[1] && progress[3] < progress[4],
+        "{progress:?}"
+    );
+    assert_eq!(progress[1..4], [progress[1]; 3]);
+    assert!(progress[4] < 0.9, "poses are not all of a run");
+}
+
+#[test]
+fn a_resumed_training_says_nothing_of_the_pace() {
+    let mut plan = fresh(history_of(1.0));
+    let (stage, round) = (Stage::Reconstruct, 1);
+    plan.take(0.0, &Event::StageStarted { stage, round });
+    for (at, done) in [(0.3, 201), (9.0, 290)] {
+        let advanced = Event::StageAdvanced {
+            stage,
+            round,
+            done,
+            total: 300,
+            steps_per_second: Some(10.0),
+        };
+        plan.take(at, &advanced);
+    }
+    plan.take(
+        10.0,
+        &Event::StageStarted {
+            stage: Stage::Render,
+            round,
+        },
+    );
+    assert!(plan.measured.is_empty(), "{:?}", plan.measured);
+}
+
+#[test]
+fn a_machine_remembers_its_last_runs_by_what_did_them() {
+    let cost = |by: &str, seconds| Cost {
+        part: Part::Steps,
+        by: by.to_owned(),
+        work: 1.0,
+        seconds,
+    };
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let workspace = Workspace::open(folder.path()).expect("open");
+    let mut history = History::open(Some(folder.path()), &workspace);
+    assert_eq!(history.pace(Part::Steps, "cpu"), None);
+    for seconds in 1..=30 {
+        history.add(vec![cost("cpu", f64::from(seconds))]);
+    }
+    history.add(vec![cost("gpu", 0.1)]);
+    history.write(&workspace).expect("written");
+    let history = History::open(Some(folder.path()), &workspace);
+    assert_eq!(
+        history.pace(Part::Steps, "cpu"),
+        Some(29.0),
+        "the last three"
+    );
+    assert_eq!(history.pace(Part::Steps, "gpu"), Some(0.1));
+    assert_eq!(history.pace(Part::Render, "cpu"), None);
+}
+
+/// The events that a teller passes on of a run which renders and ends, with its costs in `folder`.
+fn told_of_a_render(folder: &Path, workspace: &Workspace) -> Vec<Event> {
+    let mut told = Vec::new();
+    let mut sink = |event: &Event| told.push(event.clone());
+    let plan = fresh(History::open(Some(folder), workspace));
+    let mut teller = Teller::new(&mut sink, workspace, plan);
+    let (stage, round) = (Stage::Render, 1);
+    teller.event(&Event::StageStarted { stage, round });
+    teller.event(&Event::Finished {
+        best_round: 1,
+        seconds: 1.0,
+    });
+    told
+}
+
+#[test]
+fn a_finished_run_leaves_its_costs_to_the_next() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let workspace = Workspace::open(folder.path()).expect("open");
+    let told = told_of_a_render(folder.path(), &workspace);
+    let [
+        Event::StageStarted { .. },
+        first,
+        last,
+        Event::Finished { .. },
+    ] = &told[..]
+    else {
+        panic!("{told:?}");
+    };
+    let done = |event: &Event| matches!(event, Event::Progress { progress: 1.0, .. });
+    assert!(!done(first) && done(last), "{told:?}");
+    let history = History::open(Some(folder.path()), &workspace);
+    assert!(history.pace(Part::Render, "").is_some());
+    // Below a file there is no room for another.
+    let told = told_of_a_render(&folder.path().join("costs.json"), &workspace);
+    assert!(
+        matches!(&told[3], Event::Warning { code, .. } if code == "costs"),
+        "{told:?}"
+    );
+}

@@ -1,0 +1,245 @@
+//! The work of a run by its parts, in seconds that two cores with software Vulkan take.
+
+use serde::{Deserialize, Serialize};
+
+use crate::event::Stage;
+use crate::metrics::CaptureShake;
+use crate::pipeline::config::{NoiseMode, Options, Start};
+use crate::pipeline::shaken;
+use crate::pipeline::views::HELD_OUT_FROM;
+use crate::reconstruct::{CORRECTIONS, Schedule};
+
+/// The parts of a run whose speeds differ from machine to machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Part {
+    /// Structure from motion.
+    Poses,
+    Enhance,
+    /// The network, and the look at the shake that it removed.
+    Deblur,
+    /// The steps of training.
+    Steps,
+    /// Solving for kernels between steps.
+    Kernels,
+    /// Correcting cameras between steps, and of held-out views after them.
+    Cameras,
+    Render,
+    Match,
+    Evaluate,
+}
+
+impl Part {
+    /// The parts of training.
+    pub const TRAINING: [Self; 3] = [Self::Steps, Self::Kernels, Self::Cameras];
+}
+
+/// Seconds that something takes on two cores: alone, for a megapixel and for 1,000 Gaussians.
+struct Price(f64, f64, f64);
+
+/// A pair of photographs: its share of the search for poses.
+const PAIR: Price = Price(0.0, 1.5, 0.0);
+/// The stages of a view.
+const ENHANCE: Price = Price(0.001, 0.03, 0.0);
+const DEBLUR: Price = Price(0.002, 0.4, 0.0);
+const RENDER: Price = Price(0.002, 0.12, 0.0005);
+const MATCH: Price = Price(0.002, 0.15, 0.0);
+const EVALUATE: Price = Price(0.002, 0.6, 0.0);
+/// A step, a kernel and a corrected camera.
+const STEP: Price = Price(0.001, 0.23, 0.003);
+const KERNEL: Price = Price(0.0, 0.14, 0.001);
+const CAMERA: Price = Price(0.0, 0.66, 0.0075);
+/// More for a megapixel of a step and of a corrected camera where the view has a kernel.
+const BLURRED_STEP: f64 = 0.11;
+const BLURRED_CAMERA: f64 = 0.9;
+/// Times as long as a step takes with the noise field.
+const NOISE: f64 = 30.0;
+
+/// A cold round begins with few Gaussians and has all before half of it, as
+/// [`crate::reconstruct::densify`] makes them: the share that there is at the start, and where
+/// growth begins and ends.
+const FIRST_SHARE: f64 = 0.25;
+const GROWTH: (f64, f64) = (0.05, 0.425);
+
+/// Work of some parts, s.
+pub type Work = Vec<(Part, f64)>;
+
+/// The facts that decide the work of a run.
+#[derive(Clone, Debug)]
+pub struct Job {
+    asked: Options,
+    /// The options in effect once the shake is known.
+    options: Options,
+    rounds: u32,
+    views: f64,
+    /// Mean of a view.
+    megapixels: f64,
+    /// Photographs and pairs of them that structure from motion counts, once it has told.
+    pairs: Option<u64>,
+    /// Views with a kernel in the next round, once a round has told.
+    kernels: Option<f64>,
+}
+
+impl Job {
+    /// A run over `views` photographs of `pixels` in all, at working size.
+    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
+        Self {
+            asked: options.clone(),
+            options: options.clone(),
+            rounds: options.rounds,
+            views: views as f64,
+            megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
+            pairs: None,
+            kernels: None,
+        }
+    }
+
+    /// Another number of rounds or views, or a verdict on the shake.
+    pub fn replan(&mut self, rounds: u32, views: u32, shake: Option<CaptureShake>) {
+        (self.rounds, self.views) = (rounds, f64::from(views));
+        if shake.is_some() {
+            self.options = shaken::in_effect(&self.asked, shake);
+        }
+    }
+
+    /// Structure from motion counts so many photographs and pairs. COLMAP's own strategies count
+    /// thirds of a strategy instead, of which there are no more than photographs at first.
+    pub fn count_pairs(&mut self, total: u64) {
+        if total as f64 > self.views {
+            self.pairs.get_or_insert(total);
+        }
+    }
+
+    /// Whether structure from motion has told how many pairs it looks at.
+    pub fn knows_pairs(&self) -> bool {
+        self.pairs.is_some()
+    }
+
+    /// So many views have a kernel in the next round.
+    pub fn expect_kernels(&mut self, kernels: u32) {
+        self.kernels = Some(f64::from(kernels));
+    }
+
+    /// Steps of a round.
+    #[cfg(test)]
+    pub fn steps(&self) -> u32 {
+        self.options.steps
+    }
+
+    /// The planned stages in order.
+    pub fn stages(&self) -> Vec<(u32, Stage)> {
+        let mut stages = vec![(0, Stage::Poses)];
+        if self.asked.enhance.is_network() {
+            stages.push((0, Stage::Enhance));
+        }
+        if shaken::asks(&self.asked) {
+            stages.push((0, Stage::Deblur));
+        }
+        for round in 1..=self.rounds {
+            let is_last = round == self.rounds;
+            let of_round = Stage::ALL[1..].iter();
+            let of_round = of_round.filter(|stage| !(is_last && **stage == Stage::Match));
+            stages.extend(of_round.map(|stage| (round, *stage)));
+        }
+        stages
+    }
+
+    /// The work of a stage; none of a search for late views, which nobody can foresee.
+    pub fn of(&self, stage: Stage, round: u32) -> Work {
+        let views = |part, price| vec![(part, self.views * self.seconds(price, 1.0, 1.0))];
+        match stage {
+            Stage::Poses if round > 0 => Work::new(),
+            Stage::Poses => {
+                let all = self.views * (self.views + 1.0) / 2.0;
+                let pairs = self.pairs.map_or(all, |pairs| pairs as f64);
+                vec![(Part::Poses, pairs * self.seconds(&PAIR, 1.0, 1.0))]
+            }
+            Stage::Enhance => views(Part::Enhance, &ENHANCE),
+            Stage::Deblur => views(Part::Deblur, &DEBLUR),
+            Stage::Reconstruct => self.training(round, self.options.steps),
+            Stage::Render => views(Part::Render, &RENDER),
+            Stage::Match => views(Part::Match, &MATCH),
+            Stage::Evaluate => views(Part::Evaluate, &EVALUATE),
+        }
+    }
+
+    /// Seconds of something, for these shares of a view's pixels and of all Gaussians.
+    fn seconds(&self, price: &Price, pixels: f64, gaussians: f64) -> f64 {
+        let Price(alone, per_megapixel, per_thousand) = price;
+        let thousands = f64::from(self.options.cap) / 1e3;
+        alone + per_megapixel * self.megapixels * pixels + per_thousand * thousands * gaussians
+    }
+
+    /// The work of a round's training before step `until`, and after the last step.
+    pub fn training(&self, round: u32, until: u32) -> Work {
+        let options = &self.options;
+        let schedule = Schedule {
+            steps: options.steps,
+            sh_degree: options.sh_degree,
+            resolution: true,
+            warm: round > 1 && options.start == Start::Warm,
+            seed: 0,
+        };
+        let noise = match options.noise {
+            NoiseMode::Off => 1.0,
+            NoiseMode::Paper => NOISE,
+        };
+        let held_out = self.held_out();
+        let with_kernel = self.kernels_of(round);
+        let kernels = with_kernel * self.seconds(&KERNEL, 1.0, 1.0);
+        let blurred = with_kernel / (self.views * (1.0 - held_out)) * self.megapixels;
+        let cameras = if options.refine_poses {
+            self.views * (self.seconds(&CAMERA, 1.0, 1.0) + BLURRED_CAMERA * blurred)
+        } else {
+            0.0
+        };
+        let mut work = [0.0; 3];
+        for step in 0..until.min(options.steps) {
+            let side = 1.0 / schedule.divisor(step) as f64;
+            let (from, to) = GROWTH;
+            let grown = ((schedule.share(step) - from) / (to - from)).clamp(0.0, 1.0);
+            let gaussians = if schedule.warm {
+                1.0
+            } else {
+                FIRST_SHARE.powf(1.0 - grown)
+            };
+            let plain = self.seconds(&STEP, side * side, gaussians);
+            work[0] += noise * (plain + BLURRED_STEP * blurred * side * side);
+            if schedule.estimates_shake(step) {
+                work[1] += kernels;
+            }
+            if schedule.refines_poses(step) {
+                work[2] += (1.0 - held_out) * cameras;
+            }
+        }
+        if until >= options.steps {
+            work[2] += f64::from(CORRECTIONS) * held_out * cameras;
+        }
+        Part::TRAINING.into_iter().zip(work).collect()
+    }
+
+    /// Share of the views that train nothing.
+    fn held_out(&self) -> f64 {
+        match self.options.held_out.as_str() {
+            "none" => 0.0,
+            "auto" if self.views < HELD_OUT_FROM as f64 => 0.0,
+            every => {
+                let every = every.parse().ok().filter(|every| *every >= 2.0);
+                1.0 / every.unwrap_or(8.0)
+            }
+        }
+    }
+
+    /// Views with a kernel in a round.
+    fn kernels_of(&self, round: u32) -> f64 {
+        let training = self.views * (1.0 - self.held_out());
+        let expected = if self.options.shake.explains(false) {
+            training
+        } else if round == 1 || !self.options.shake.explains(true) {
+            0.0
+        } else {
+            self.kernels.unwrap_or(shaken::SHAKEN_SHARE * training)
+        };
+        expected.min(training)
+    }
+}
