@@ -52,6 +52,8 @@ const CAMERA: Price = Price(0.0, 0.66, 0.0075);
 /// More for a megapixel of a step and of a corrected camera where the view has a kernel.
 const BLURRED_STEP: f64 = 0.11;
 const BLURRED_CAMERA: f64 = 0.9;
+/// Share of that work in a correction that another follows.
+const COARSE_CAMERA: f64 = 0.3;
 /// Times as long as a step takes with the noise field.
 const NOISE: f64 = 30.0;
 
@@ -209,11 +211,14 @@ impl Job {
                 work[1] += kernels;
             }
             if schedule.refines_poses(step) {
-                work[2] += (1.0 - held_out) * cameras;
+                let is_last = schedule.refines_poses_last(step);
+                let share = if is_last { 1.0 } else { COARSE_CAMERA };
+                work[2] += share * (1.0 - held_out) * cameras;
             }
         }
         if until >= options.steps {
-            work[2] += f64::from(CORRECTIONS) * held_out * cameras;
+            let corrections = 1.0 + COARSE_CAMERA * f64::from(CORRECTIONS - 1);
+            work[2] += corrections * held_out * cameras;
         }
         Part::TRAINING.into_iter().zip(work).collect()
     }
