@@ -42,6 +42,7 @@ mod rounds;
 mod sent;
 mod shapes;
 mod share;
+mod texts;
 mod tus;
 mod upload;
 mod uploaded;
@@ -119,6 +120,7 @@ pub fn router(app: Arc<App>) -> Router {
         })
         .layer(middleware::from_fn_with_state(app.clone(), fetch::bring))
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
+        .layer(middleware::from_fn(texts::check_path))
         // Another site's page must not start or delete jobs through a visitor's browser.
         .layer(CsrfLayer::new())
         .layer(middleware::from_fn_with_state(app.clone(), host::check))

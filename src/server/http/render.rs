@@ -14,7 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::client::ClientAddress;
-use super::extract::{Json, Object, Query};
+use super::extract::{Json, Query};
 use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
@@ -72,8 +72,7 @@ pub struct RenderBody {
     #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
     world_to_camera: [[f64; 4]; 4],
     /// Pinhole camera, pixels.
-    #[schema(value_type = Pinhole)]
-    intrinsics: Object<Pinhole>,
+    intrinsics: Pinhole,
     /// Round to use; by default the delivered one, or else the last finished one.
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
@@ -147,7 +146,7 @@ pub async fn post(
     Json(body): Json<RenderBody>,
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, body.round).await?;
-    let Object(k) = body.intrinsics;
+    let k = body.intrinsics;
     let intrinsics = Intrinsics {
         width: k.width,
         height: k.height,

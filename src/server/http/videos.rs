@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::access::Visitor;
-use super::extract::{Json, Object};
+use super::extract::Json;
 use super::lookup::{cameras_of, find, finished};
 use super::problem::Problem;
 use super::quota::bytes_left;
@@ -89,13 +89,13 @@ pub struct CreateVideo {
     #[schema(minimum = 0.1, maximum = 10)]
     distance: Option<f64>,
     /// For a path, 2 to 100 poses.
-    #[schema(value_type = Option<Vec<VideoPose>>, min_items = 2, max_items = 100)]
-    poses: Option<Vec<Object<VideoPose>>>,
+    #[schema(min_items = 2, max_items = 100)]
+    poses: Option<Vec<VideoPose>>,
 }
 
 impl CreateVideo {
     fn plan(self) -> Plan {
-        let key = |Object(pose): Object<VideoPose>| Key {
+        let key = |pose: VideoPose| Key {
             world_to_camera: pose.world_to_camera,
             seconds: pose.seconds,
         };

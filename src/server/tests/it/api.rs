@@ -62,7 +62,26 @@ fn lists_are_paged_without_gaps_and_filtered_by_state() {
     assert_eq!(seen, jobs);
     let page = server.get("/v1/jobs?state=failed", &[]).expect(200).json();
     assert_eq!(page["jobs"].as_array().map(Vec::len), Some(1));
-    server.get("/v1/jobs?state=done", &[]).expect(400);
+    for (query, pointer) in [
+        ("state=done", "/state"),
+        ("stat=failed", "/stat"),
+        ("limit=many", "/limit"),
+        ("limit=1&limit=1", "/limit"),
+        ("cursor=zzz", "/cursor"),
+        ("capture_id=zzz", "/capture_id"),
+    ] {
+        let refused = server
+            .get(&format!("/v1/jobs?{query}"), &[])
+            .expect(422)
+            .json();
+        assert_eq!(refused["pointer"], pointer, "{refused:#}");
+        let detail = refused["detail"].as_str().expect("detail");
+        assert!(
+            !detail.contains("deserialize") && !detail.contains("expected"),
+            "{detail}"
+        );
+    }
+    server.get("/v1/captures?cursor=zzz", &[]).expect(422);
 }
 
 #[test]
