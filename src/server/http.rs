@@ -60,7 +60,7 @@ use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::csrf::CsrfLayer;
+use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
@@ -122,7 +122,7 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
         .layer(middleware::from_fn(texts::check_path))
         // Another site's page must not start or delete jobs through a visitor's browser.
-        .layer(CsrfLayer::new())
+        .layer(CsrfLayer::new().with_rejection_response(from_elsewhere))
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(tus::mark))
@@ -196,6 +196,17 @@ fn uploads() -> Router<Arc<App>> {
         .route("/v1/jobs", get(jobs::list).post(jobs::create))
         .merge(pieces)
         .layer(DefaultBodyLimit::disable())
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
+fn from_elsewhere(_: ProtectionError) -> Response {
+    Problem::new(
+        StatusCode::FORBIDDEN,
+        "cross_origin",
+        "A page of another site sent this request.",
+    )
+    .hint("Use the dashboard of this server, or a program with a token.")
+    .into_response()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
