@@ -35,6 +35,7 @@ mod priority;
 mod problem;
 mod quota;
 mod range;
+mod rename;
 mod render;
 mod retry;
 mod room;
@@ -143,7 +144,10 @@ pub fn router(app: Arc<App>) -> Router {
 /// Every route below a job.
 fn of_a_job() -> Router<Arc<App>> {
     Router::new()
-        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
+        .route(
+            "/v1/jobs/{id}",
+            get(jobs::show).patch(rename::rename).delete(jobs::delete),
+        )
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(retry::retry))
         .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))
@@ -198,7 +202,6 @@ fn uploads() -> Router<Arc<App>> {
         .layer(DefaultBodyLimit::disable())
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
 fn from_elsewhere(_: ProtectionError) -> Response {
     Problem::new(
         StatusCode::FORBIDDEN,

@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    prioritize, render, retry, rounds, share, tus, videos, webhooks, workers,
+    prioritize, rename, render, retry, rounds, share, tus, videos, webhooks, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -33,6 +33,7 @@ use super::{
         jobs::create,
         jobs::list,
         jobs::show,
+        rename::rename,
         jobs::cancel,
         retry::retry,
         jobs::delete,
