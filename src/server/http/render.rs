@@ -18,6 +18,7 @@ use super::extract::{Json, Query};
 use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
+use super::tus::Bytes;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::redaction::without_paths;
@@ -105,7 +106,7 @@ pub struct Pinhole {
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = Bytes, content_type = "image/*"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Job, view or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
@@ -134,7 +135,7 @@ pub async fn get(
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = Bytes, content_type = "image/*"),
         (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Invalid camera", body = Problem, content_type = "application/problem+json")))]

@@ -18,6 +18,7 @@ use super::quota::bytes_left;
 use super::render::MatrixRow;
 use super::sent::Sent;
 use super::shapes::time;
+use super::tus::Bytes;
 use super::upload;
 use crate::app::App;
 use crate::error::ServerError;
@@ -313,8 +314,8 @@ pub async fn show(
     tag = "results", params(("id" = String, Path), ("video" = String, Path),
         ("Range" = Option<String>, Header, description = "A single range of bytes")),
     responses(
-        (status = 200, description = "The video", body = serde_json::Value, content_type = "video/mp4"),
-        (status = 206, description = "The requested range", body = serde_json::Value, content_type = "video/mp4"),
+        (status = 200, description = "The video", body = Bytes, content_type = "video/mp4"),
+        (status = 206, description = "The requested range", body = Bytes, content_type = "video/mp4"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The video is not ready, or could not be made", body = Problem, content_type = "application/problem+json"),

@@ -76,6 +76,7 @@ pub struct Delivery {
     /// Type of the event.
     r#type: String,
     /// Body that is sent.
+    #[schema(value_type = Object)]
     body: Value,
     /// Time of the event, RFC 3339.
     created_at: String,
