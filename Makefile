@@ -49,9 +49,10 @@ test-python: venv ## the tools, and what of the recipe needs no PyTorch: some of
 	$(VENV) -m unittest discover --start-directory tools
 	$(VENV) -m unittest discover --start-directory training
 
-test-openapi: ## openapi.yaml is what it says: OpenAPI 3.1
+test-openapi: ## openapi.yaml is what it says: OpenAPI 3.1, with examples of its schemas
 	@$(PYTHON) tools/environment.py .venv-api tools/api-requirements.txt
 	.venv-api/bin/python -m openapi_spec_validator openapi.yaml
+	.venv-api/bin/python tools/check_examples.py openapi.yaml
 
 test-types: ## the dashboard's scripts, held to the types that openapi.yaml promises; needs Node 20 and npm
 	cd tests/browser && npm ci --loglevel=error && npm run --silent types

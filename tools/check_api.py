@@ -57,24 +57,19 @@ checks.positive_data_acceptance.enabled = false
 # Not every text is metadata, and nobody knows the address of an upload.
 [[operations]]
 include-operation-id = ["create_upload", "show_upload", "continue_upload", "delete_upload"]
-checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "409", "413", "429", "507"]
-checks.negative_data_rejection.expected-statuses = ["400", "404", "409", "412", "413", "415", "429", "507"]
-checks.missing_required_header.expected-statuses = ["400", "404", "412"]
+checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "409", "413", "422", "429", "507"]
+checks.negative_data_rejection.expected-statuses = ["400", "404", "409", "412", "413", "415", "422", "429", "507"]
+checks.missing_required_header.expected-statuses = ["400", "404", "412", "422"]
 
-# No token that is made up holds.
+# The protocol offers the same for every upload.
 [[operations]]
-include-operation-id = "login"
-checks.positive_data_acceptance.enabled = false
+include-operation-id = "one_upload_options"
+checks.negative_data_rejection.enabled = false
 
-# Not every number is that of an event.
-[[operations]]
-include-operation-id = "stream_events"
-parameters = {{ "path.id" = "{job}" }}
-checks.positive_data_acceptance.expected-statuses = ["2xx", "400"]
 """
 OF_JOB = [
-    "show_job", "cancel_job", "retry_job", "show_rounds", "show_log", "render_view", "render_camera",
-    "list_artifacts", "download_artifact",
+    "show_job", "rename_job", "cancel_job", "retry_job", "stream_events", "show_rounds", "show_log", "render_view",
+    "render_camera", "list_artifacts", "download_artifact",
 ]
 
 

@@ -4,8 +4,8 @@
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
 //! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`].
 //! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
-//! [`gaussians`], [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and
-//! no environment variables.
+//! [`gaussians`], [`event`], [`cancel`], [`plain`] and [`reading`]. The crate knows no HTTP, no
+//! SQL, no async runtime and no environment variables.
 
 #[cfg(test)]
 mod agreement;
@@ -28,8 +28,10 @@ pub mod metrics;
 pub mod noise;
 pub mod photo_path;
 pub mod pipeline;
+pub mod plain;
 pub mod poses;
 mod random;
+pub mod reading;
 pub mod reconstruct;
 pub mod register;
 pub mod render;

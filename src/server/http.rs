@@ -35,6 +35,7 @@ mod priority;
 mod problem;
 mod quota;
 mod range;
+mod rename;
 mod render;
 mod retry;
 mod room;
@@ -42,6 +43,7 @@ mod rounds;
 mod sent;
 mod shapes;
 mod share;
+mod texts;
 mod tus;
 mod upload;
 mod uploaded;
@@ -59,7 +61,7 @@ use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::csrf::CsrfLayer;
+use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
@@ -119,8 +121,9 @@ pub fn router(app: Arc<App>) -> Router {
         })
         .layer(middleware::from_fn_with_state(app.clone(), fetch::bring))
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
+        .layer(middleware::from_fn(texts::check_path))
         // Another site's page must not start or delete jobs through a visitor's browser.
-        .layer(CsrfLayer::new())
+        .layer(CsrfLayer::new().with_rejection_response(from_elsewhere))
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(tus::mark))
@@ -141,7 +144,10 @@ pub fn router(app: Arc<App>) -> Router {
 /// Every route below a job.
 fn of_a_job() -> Router<Arc<App>> {
     Router::new()
-        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
+        .route(
+            "/v1/jobs/{id}",
+            get(jobs::show).patch(rename::rename).delete(jobs::delete),
+        )
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(retry::retry))
         .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))
@@ -194,6 +200,16 @@ fn uploads() -> Router<Arc<App>> {
         .route("/v1/jobs", get(jobs::list).post(jobs::create))
         .merge(pieces)
         .layer(DefaultBodyLimit::disable())
+}
+
+fn from_elsewhere(_: ProtectionError) -> Response {
+    Problem::new(
+        StatusCode::FORBIDDEN,
+        "cross_origin",
+        "A page of another site sent this request.",
+    )
+    .hint("Use the dashboard of this server, or a program with a token.")
+    .into_response()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]

@@ -61,7 +61,7 @@ pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
 pub use lease::{Claim, JobKind, Lease, Machine};
-pub use results::{StageSeconds, WarningRow};
+pub use results::{Score, StageSeconds, WarningRow};
 pub use retention::Retention;
 pub use retry::{Change, Retry};
 pub use room::Room;

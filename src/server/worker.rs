@@ -6,6 +6,7 @@ pub mod log;
 mod orphans;
 mod words;
 
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -215,13 +216,26 @@ async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Set
     let error = JobError {
         code: ErrorKind::Io.name().to_owned(),
         detail: told(error),
-        hint: "Check the free space and the permissions of the data directory.".to_owned(),
+        hint: advice(error).to_owned(),
     };
     Ok(Settlement::Failed {
         error,
         retry_in_ms: retry.then_some(wait),
         failures,
     })
+}
+
+/// Advice on a disk or database error, for the server's administrator.
+fn advice(error: &ServerError) -> &'static str {
+    match error {
+        ServerError::Io { source, .. } if source.kind() == io::ErrorKind::StorageFull => {
+            "Free some space for the data directory, then retry the job."
+        }
+        ServerError::Io { .. } => {
+            "Check the disk and the permissions of the data directory, then retry the job."
+        }
+        _ => "/readyz shows what of the database and the file store is missing.",
+    }
 }
 
 /// Settles a job whose server has died this many times in a row without progress. Running out of

@@ -14,6 +14,7 @@ use zip::result::ZipError;
 
 use crate::image::{MAX_FILE_BYTES, Unread, named_like_a_photograph};
 use crate::photo_path::PhotoPath;
+use crate::plain::is_plain;
 
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
@@ -163,6 +164,11 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
         }
         let is_only_listed = is_unused(&name);
         if entry.is_file() && (is_only_listed || plays_a_role(&name)) {
+            // Only these names are shown and stored, unlike `Icon\r` of macOS.
+            if !is_plain(&name) {
+                let shown = name.escape_debug().to_string();
+                return Err(ArchiveFault::of(&shown, "a name with control characters"));
+            }
             wanted.push(Wanted {
                 index,
                 name,

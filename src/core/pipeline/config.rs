@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
+use crate::reading::read;
 pub use crate::reconstruct::{Background, Densify};
 pub use shake::{ShakeModel, TrainOn};
 
@@ -83,7 +84,7 @@ pub struct Options {
 
 /// The JSON forms of `held_out`.
 #[derive(Deserialize, JsonSchema)]
-#[serde(untagged, expecting = "expected a number or a string")]
+#[serde(untagged, expecting = "must be a number or a string")]
 enum HeldOut {
     /// Every n-th view.
     Every(u32),
@@ -337,7 +338,7 @@ impl Options {
                 return Err(fault(key, &format!("unknown; known options are {known}")));
             }
             fields.insert(key.clone(), value.clone());
-            current = serde_json::from_value(object).map_err(|e| fault(key, &e))?;
+            current = read(object).map_err(|error| fault(key, &error.words))?;
         }
         current.check()?;
         Ok(current)

@@ -96,7 +96,7 @@ impl ErrorKind {
             Self::OomHost => "Close other programs or choose a smaller `size`.",
             Self::OomGpu => "Choose a smaller `size` or `cap`, or another `adapter`.",
             Self::DeviceLost => "The GPU driver was reset. Try again: finished stages are kept.",
-            Self::Io => "Check the free disk space and the folder's permissions, then try again.",
+            Self::Io => "Remove the cause that the message names, then try again.",
             Self::Timeout => "The machine may be overloaded. Try again: finished stages are kept.",
             Self::Environment => "Run `fled doctor` to see what is missing and how to get it.",
             Self::Cancelled => "Start it again to continue where it stopped.",

@@ -68,7 +68,7 @@ impl Visitor {
     }
 
     /// The only job they can see, if they presented a share link.
-    fn only_job(&self) -> Option<&str> {
+    pub(super) fn only_job(&self) -> Option<&str> {
         self.token()?.job.as_deref()
     }
 
@@ -343,6 +343,7 @@ mod tests {
         assert_eq!(needed(Some(job), get), Some(Scope::JobsRead));
         assert_eq!(needed(Some(job), &Method::HEAD), Some(Scope::JobsRead));
         assert_eq!(needed(Some(job), &Method::DELETE), Some(Scope::JobsWrite));
+        assert_eq!(needed(Some(job), &Method::PATCH), Some(Scope::JobsWrite));
         assert_eq!(needed(Some(job), &Method::OPTIONS), Some(Scope::JobsWrite));
         let render = "/v1/jobs/{id}/render";
         assert_eq!(needed(Some(render), get), Some(Scope::Renders));

@@ -6,7 +6,7 @@ use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::HeaderMap;
 use axum::response::Response;
 use fled_core::run_folder::RunFolder;
@@ -14,6 +14,7 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use utoipa::ToSchema;
 
+use super::access::Visitor;
 use super::lookup::find;
 use super::problem::Problem;
 use super::sent::Sent;
@@ -49,6 +50,7 @@ pub struct Artifacts {
 pub async fn list(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
+    Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Artifacts>, Problem> {
     find(&app, &id).await?;
     let output = app.data.output(&id).root().to_owned();
@@ -63,6 +65,8 @@ pub async fn list(
         .await
         .map_err(|_| Problem::internal())?
         .map_err(ServerError::io(&output))?;
+    let folder = app.data.output(&id);
+    names.retain(|name| may_see(&visitor, &folder, name));
     names.sort();
     let mut artifacts = Vec::with_capacity(names.len());
     for name in names {
@@ -93,12 +97,15 @@ pub async fn list(
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,
+    Extension(visitor): Extension<Visitor>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     find(&app, &id).await?;
-    let file = Stored::open(&app, &id, &name)
-        .await?
-        .ok_or_else(|| Problem::not_found("artifact"))?;
+    let file = match may_see(&visitor, &app.data.output(&id), &name) {
+        true => Stored::open(&app, &id, &name).await?,
+        false => None,
+    };
+    let file = file.ok_or_else(|| Problem::not_found("artifact"))?;
     let sent = Sent {
         etag: format!("\"{}\"", file.sha256),
         path: file.path,
@@ -106,6 +113,11 @@ pub async fn download(
         media_type: media_type(&name),
     };
     sent.answer(&headers).await
+}
+
+/// Returns whether a visitor may see a file: a share link shows no log, which tells of the machine.
+fn may_see(visitor: &Visitor, output: &RunFolder, name: &str) -> bool {
+    visitor.only_job().is_none() || output.root().join(name) != output.log()
 }
 
 /// A file with its digest.

@@ -10,8 +10,8 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::SMALL;
 use super::access::Visitor;
-use super::extract::{Json, Query};
-use super::page::page_size;
+use super::extract::{Json, Query, is_json};
+use super::page::{id, page_size};
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::shapes::{Capture, Captures};
@@ -110,7 +110,7 @@ async fn received(
     mut request: Request,
     visitor: &Visitor,
 ) -> Result<Upload, Problem> {
-    if upload::is_json(request.headers()) {
+    if is_json(request.headers()) {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
         DefaultBodyLimit::max(SMALL).apply(&mut request);
         let Json(body) = Json::<CaptureOfUploads>::from_request(request, app).await?;
@@ -132,9 +132,10 @@ pub async fn list(
     Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Captures>, Problem> {
     let limit = page_size(query.limit)?;
+    let cursor = id(query.cursor.as_deref(), "cursor")?;
     let rows = app
         .store
-        .captures(limit + 1, query.cursor.as_deref(), visitor.sees_only())
+        .captures(limit + 1, cursor.as_deref(), visitor.sees_only())
         .await?;
     let more = rows.len() > limit as usize;
     let captures: Vec<Capture> = rows

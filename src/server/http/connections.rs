@@ -16,18 +16,20 @@ use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::http::{Request, header};
+use axum::http::{Request, StatusCode, header};
 use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rustix::process::{Resource, getrlimit};
+use serde_json::json;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
 use super::client::ClientAddress;
+use super::problem::Problem;
 use crate::config::Limits;
 use pace::{PacedBody, PacedStream};
 
@@ -35,9 +37,8 @@ use pace::{PacedBody, PacedStream};
 const DESCRIPTORS: u64 = 64;
 /// Pause after a failed accept, which is mostly due to a lack of descriptors.
 const RECOVERY: Duration = Duration::from_millis(100);
-/// The answer when every place is taken by an active request.
-const FULL: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\n\
-    Connection: close\r\nContent-Length: 0\r\n\r\n";
+/// Seconds after which a place may be free.
+const RETRY: u32 = 5;
 
 /// Accepts connections until `shutdown`, then lets open requests end.
 pub async fn serve(
@@ -66,7 +67,7 @@ pub async fn serve(
         let Some(place) = places.take() else {
             tracing::warn!(%address, "a connection was refused: all are in use");
             // A few bytes always fit into a socket that has sent nothing yet.
-            drop(stream.try_write(FULL));
+            drop(stream.try_write(&full()));
             continue;
         };
         // Short answers must not wait for the acknowledgement of earlier ones.
@@ -81,6 +82,22 @@ pub async fn serve(
     }
     drop(listener);
     while open.join_next().await.is_some() {}
+}
+
+/// The answer when every place is taken by an active request.
+fn full() -> Vec<u8> {
+    let problem = Problem::new(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "too_many_connections",
+        "All connections of the server are in use.",
+    );
+    let body = json!(problem.hint("Try again in some seconds.")).to_string();
+    let head = format!(
+        "HTTP/1.1 503 Service Unavailable\r\nRetry-After: {RETRY}\r\nConnection: close\r\n\
+         Content-Type: application/problem+json\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    [head.as_bytes(), body.as_bytes()].concat()
 }
 
 /// The number of places: as many as requested, as far as descriptors allow. A connection may open a

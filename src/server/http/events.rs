@@ -60,7 +60,8 @@ pub struct StreamEvent {
     responses(
         (status = 200, description = "Events, each with its number as `id`", body = StreamEvent, content_type = "text/event-stream"),
         (status = 204, description = "The job has ended and every event was sent"),
-        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "No event of this job has the number", body = Problem, content_type = "application/problem+json")))]
 pub async fn stream(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -114,9 +115,8 @@ async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
     {
         return Ok(last);
     }
-    Err(Problem::new(
-        StatusCode::BAD_REQUEST,
-        "bad_request",
+    Err(Problem::unprocessable(
+        "bad_input",
         "`Last-Event-ID` does not name an event of this job.",
     )
     .hint("Leave it out to receive every event."))

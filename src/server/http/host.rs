@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::uri::Authority;
-use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::http::{HeaderMap, StatusCode, Uri, Version, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -18,6 +18,14 @@ use crate::app::App;
 
 /// Refuses requests whose host name is not the server's own.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    if !is_named_once(request.version(), request.headers()) {
+        return Problem::new(
+            StatusCode::BAD_REQUEST,
+            "bad_request",
+            "An HTTP/1.1 request must have one `Host` header.",
+        )
+        .into_response();
+    }
     if is_known(request.uri(), request.headers(), &app.config.hosts) {
         return next.run(request).await;
     }
@@ -28,6 +36,12 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
     )
     .hint("Use its address or localhost. Its administrator can allow a name with --host NAME.")
     .into_response()
+}
+
+/// Returns whether a request has one host name, as HTTP/1.1 demands (RFC 9112, 3.2).
+fn is_named_once(version: Version, headers: &HeaderMap) -> bool {
+    let names = headers.get_all(header::HOST).iter().count();
+    names == 1 || (names == 0 && version < Version::HTTP_11)
 }
 
 /// Returns whether every host name of a request is the server's own. IP addresses are: no other
@@ -54,6 +68,22 @@ fn is_own(host: &str, hosts: &[String]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_http_1_0_needs_no_host() {
+        let named = |version, names: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for name in names {
+                headers.append(header::HOST, name.parse().expect("header"));
+            }
+            is_named_once(version, &headers)
+        };
+        assert!(named(Version::HTTP_11, &["localhost"]));
+        assert!(named(Version::HTTP_10, &[]));
+        assert!(!named(Version::HTTP_11, &[]));
+        assert!(!named(Version::HTTP_11, &["localhost", "127.0.0.1"]));
+        assert!(!named(Version::HTTP_10, &["localhost", "127.0.0.1"]));
+    }
 
     #[test]
     fn only_addresses_localhost_and_given_names_are_known() {

@@ -6,22 +6,24 @@ use std::time::Duration;
 use axum::extract::{DefaultBodyLimit, Extension, FromRequest, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use fled_core::plain::is_plain;
 use serde::Deserialize;
 use serde_json::{Map, Number, Value};
 use utoipa::{IntoParams, ToSchema};
 
 use super::SMALL;
 use super::access::Visitor;
-use super::extract::{Json, Query, typed};
+use super::extract::{Json, Query, parsed, typed};
 use super::lookup::find;
 use super::order::Order;
-use super::page::page_size;
+use super::page::{id, page_size};
 use super::priority::Priority;
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::room::{check_room, over_quota_jobs, queue_full};
 use super::shapes::{Job, Jobs, report};
-use super::upload;
+use super::texts::check_value;
+use super::upload::{self, OPTIONS, Upload};
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
 use crate::error::ServerError;
@@ -133,10 +135,10 @@ pub async fn create(
         DefaultBodyLimit::max(SMALL).apply(&mut request);
         let Json(body) = Json::<Map<String, Value>>::from_request(request, &app).await?;
         if body.contains_key("uploads") {
-            let body: JobOfUploads = typed(body)?;
+            let body: JobOfUploads = typed(body.into())?;
             uploaded::create_job(&app, body, key.as_deref(), visitor.clone()).await?
         } else {
-            from_json(&app, &typed(body)?, key.as_deref(), &visitor).await?
+            from_json(&app, &typed(body.into())?, key.as_deref(), &visitor).await?
         }
     };
     let (row, replayed) = match creation {
@@ -205,7 +207,10 @@ async fn from_json(
     let job = order.job(
         app,
         &capture.id,
-        body.name.as_deref().unwrap_or(&capture.name),
+        body.name
+            .as_deref()
+            .filter(|name| !name.is_empty())
+            .unwrap_or(&capture.name),
     )?;
     let made = app
         .store
@@ -235,23 +240,9 @@ async fn from_upload(
         check_room(app, &visitor).await?;
         bytes_left(app, &visitor).await?
     };
-    let fields = ["name", "frames", "preset", "options", "priority"];
+    let fields = ["name", "frames", "preset", OPTIONS, "priority"];
     let upload = upload::receive(app, request, &fields, most).await?;
-    let options = match upload
-        .fields
-        .get("options")
-        .map(String::as_str)
-        .filter(|text| !text.trim().is_empty())
-    {
-        None => Map::new(),
-        Some(text) => serde_json::from_str(text).map_err(|error| {
-            Problem::unprocessable(
-                "bad_input",
-                format!("`options` is not a JSON object: {error}"),
-            )
-            .pointer("/options")
-        })?,
-    };
+    let options = options_of(&upload)?;
     let preset = upload
         .fields
         .get("preset")
@@ -284,6 +275,24 @@ async fn from_upload(
     .await
 }
 
+/// The options in a form.
+fn options_of(upload: &Upload) -> Result<Map<String, Value>, Problem> {
+    let text = upload.fields.get(OPTIONS).map(String::as_str);
+    let Some(text) = text.filter(|text| !text.trim().is_empty()) else {
+        return Ok(Map::new());
+    };
+    let refused = |words: &str| {
+        let detail = format!("`{OPTIONS}` {words}.");
+        Problem::unprocessable("bad_input", detail).pointer("/options")
+    };
+    let options = parsed(text.as_bytes()).map_err(|words| refused(&words))?;
+    check_value(&options, "/options")?;
+    match options {
+        Value::Object(options) => Ok(options),
+        _ => Err(refused("must be a JSON object")),
+    }
+}
+
 /// Returns whether a request with this key has created a job.
 async fn is_known(app: &App, key: Option<&str>) -> Result<bool, Problem> {
     Ok(match key {
@@ -298,14 +307,15 @@ fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<Stri
         return Ok(None);
     };
     match value.to_str() {
-        Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(match visitor.owner() {
-            // A header value contains no line break.
-            Some(owner) => format!("{owner}\n{key}"),
-            None => key.to_owned(),
-        })),
-        _ => Err(Problem::new(
-            StatusCode::BAD_REQUEST,
-            "bad_request",
+        Ok(key) if (1..=255).contains(&key.len()) && is_plain(key) => {
+            Ok(Some(match visitor.owner() {
+                // A key contains no line break.
+                Some(owner) => format!("{owner}\n{key}"),
+                None => key.to_owned(),
+            }))
+        }
+        _ => Err(Problem::unprocessable(
+            "bad_input",
             "`Idempotency-Key` must have 1 to 255 ASCII characters.",
         )),
     }
@@ -322,15 +332,15 @@ pub async fn list(
     Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Jobs>, Problem> {
     let limit = page_size(query.limit)?;
+    let cursor = id(query.cursor.as_deref(), "cursor")?;
+    let capture = id(query.capture_id.as_deref(), "capture_id")?;
     let only = JobFilter {
         state: query.state,
-        capture: query.capture_id.as_deref(),
+        capture: capture.as_deref(),
         owner: visitor.sees_only(),
     };
-    let mut told = app
-        .store
-        .jobs(only, limit + 1, query.cursor.as_deref())
-        .await?;
+    let told = app.store.jobs(only, limit + 1, cursor.as_deref());
+    let mut told = told.await?;
     let more = told.len() > limit as usize;
     told.truncate(limit as usize);
     let last = told.last().filter(|_| more);

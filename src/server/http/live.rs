@@ -10,6 +10,7 @@ use axum::response::{IntoResponse, Response};
 use super::lookup::find;
 use super::problem::Problem;
 use super::sent::is_known;
+use super::tus::Bytes;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::store::state::JobState;
@@ -21,7 +22,7 @@ use crate::store::state::JobState;
 #[utoipa::path(get, path = "/v1/jobs/{id}/live", operation_id = "show_live_picture",
     tag = "results", params(("id" = String, Path)),
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/jpeg"),
+        (status = 200, description = "The picture", body = Bytes, content_type = "image/jpeg"),
         (status = 204, description = "The job is not training now"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]

@@ -21,7 +21,7 @@ use crate::token::{Secret, digest};
 const LASTS: i64 = 7 * 24 * 3600;
 
 /// A token to start a session with.
-#[derive(Deserialize, ToSchema)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Login {
     /// Token that begins with `fled_`.
@@ -40,8 +40,6 @@ pub struct Session {
 }
 
 /// Reports whether a token is required and whether this browser has a session.
-#[utoipa::path(get, path = "/login", operation_id = "show_session", tag = "login",
-    responses((status = 200, description = "The state of the session", body = Session)))]
 pub async fn show(
     State(app): State<Arc<App>>,
     headers: HeaderMap,
@@ -62,12 +60,6 @@ pub async fn show(
 /// Starts a session with a token.
 ///
 /// The session cookie stands in for the token for up to a week.
-#[utoipa::path(post, path = "/login", operation_id = "login", tag = "login",
-    request_body = Login,
-    responses(
-        (status = 204, description = "The session cookie is set", headers(("Set-Cookie" = String))),
-        (status = 401, description = "The token is not valid", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not a token", body = Problem, content_type = "application/problem+json")))]
 pub async fn login(
     State(app): State<Arc<App>>,
     headers: HeaderMap,
@@ -92,8 +84,6 @@ pub async fn login(
 }
 
 /// Ends the session.
-#[utoipa::path(post, path = "/logout", operation_id = "logout", tag = "login",
-    responses((status = 204, description = "The session has ended", headers(("Set-Cookie" = String)))))]
 pub async fn logout(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<Response, Problem> {
     end(&app, &headers).await?;
     Ok(answer(&headers, "", 0))

@@ -1,5 +1,7 @@
 //! `/openapi.yaml`: generated from the handlers, checked in, and compared by a test.
 
+mod complete;
+
 use axum::http::header;
 use axum::response::{IntoResponse, Redirect};
 use utoipa::openapi::path::{Operation, ParameterIn};
@@ -9,7 +11,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    prioritize, render, retry, rounds, share, tus, videos, webhooks, workers,
+    prioritize, rename, render, retry, rounds, share, tus, videos, webhooks, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -33,6 +35,7 @@ use super::{
         jobs::create,
         jobs::list,
         jobs::show,
+        rename::rename,
         jobs::cancel,
         retry::retry,
         jobs::delete,
@@ -64,19 +67,16 @@ use super::{
         videos::download,
         videos::delete,
         options::show,
-        login::show,
-        login::login,
-        login::logout,
         health::live,
         health::ready,
         metrics::show,
         workers::list,
         show,
-        show_json,
-        docs
+        show_json
     ),
-    // A schema that only a query names is not found automatically.
-    components(schemas(rounds::Form)),
+    // A schema that only a query names is not found automatically. The dashboard's login is no part
+    // of the API, but its types are checked by this document.
+    components(schemas(rounds::Form, login::Session)),
     modifiers(&Refusals)
 )]
 struct Api;
@@ -86,6 +86,9 @@ const TOKEN: &str = "token";
 
 /// A refusal that every request may get.
 const UNKNOWN_HOST: (&str, &str) = ("421", "The request does not use a name of this server");
+
+/// A refusal of what an address says, whatever the operation.
+const BAD_TEXT: (&str, &str) = ("422", "The address has control characters");
 
 /// Adds to every operation the refusals that precede its handler.
 struct Refusals;
@@ -112,7 +115,9 @@ impl Modify for Refusals {
             // Discovery is open to everyone.
             if let Some(operation) = &mut item.options {
                 let answers = &mut operation.responses.responses;
-                answers.insert(UNKNOWN_HOST.0.to_owned(), problem(UNKNOWN_HOST.1).into());
+                for (status, description) in [UNKNOWN_HOST, BAD_TEXT] {
+                    answers.insert(status.to_owned(), problem(description).into());
+                }
             }
         }
     }
@@ -161,14 +166,18 @@ fn problem(description: &str) -> Response {
         .build()
 }
 
+fn api() -> OpenApi {
+    let mut api = serde_json::to_value(Api::openapi()).expect("plain data can be written as JSON");
+    complete::complete(&mut api);
+    serde_json::from_value(api).expect("a test reads it")
+}
+
 /// Returns the OpenAPI document as YAML.
 ///
 /// # Panics
 /// Never: plain data can always be serialised.
 pub fn document() -> String {
-    Api::openapi()
-        .to_yaml()
-        .expect("plain data can be written as YAML")
+    api().to_yaml().expect("plain data can be written as YAML")
 }
 
 /// Returns this document as YAML.
@@ -182,12 +191,10 @@ pub async fn show() -> impl IntoResponse {
 #[utoipa::path(get, path = "/openapi.json", operation_id = "show_openapi_json", tag = "health",
     responses((status = 200, description = "OpenAPI 3.1", body = Object, content_type = "application/json")))]
 pub async fn show_json() -> impl IntoResponse {
-    axum::Json(Api::openapi())
+    axum::Json(api())
 }
 
 /// Redirects to the API reference in the dashboard.
-#[utoipa::path(get, path = "/docs", operation_id = "show_docs", tag = "health",
-    responses((status = 303, description = "The address of the reference", headers(("Location" = String)))))]
 pub async fn docs() -> Redirect {
     Redirect::to("/#/api")
 }
@@ -228,7 +235,7 @@ mod tests {
 
     #[test]
     fn the_document_is_consistent() {
-        let api = serde_json::to_value(Api::openapi()).expect("plain data");
+        let api = serde_json::to_value(api()).expect("plain data");
         let mut ids = HashSet::new();
         for (path, method, operation) in operations(&api) {
             let name = format!("{method} {path}");
@@ -263,6 +270,46 @@ mod tests {
                 .strip_prefix('#')
                 .expect("a reference into the document");
             assert!(api.pointer(target).is_some(), "{target} does not exist");
+        }
+    }
+
+    #[test]
+    fn the_document_keeps_what_completes_it() {
+        let mut completed = serde_json::to_value(Api::openapi()).expect("plain data");
+        complete::complete(&mut completed);
+        let kept = serde_json::to_value(api()).expect("plain data");
+        let (mut left, mut right) = (completed.to_string(), kept.to_string());
+        if let Some(at) = left.bytes().zip(right.bytes()).position(|(a, b)| a != b) {
+            left.drain(..left.floor_char_boundary(at.saturating_sub(200)));
+            right.drain(..right.floor_char_boundary(at.saturating_sub(200)));
+        }
+        assert!(completed == kept, "{left:.400}\n{right:.400}");
+    }
+
+    #[test]
+    fn every_operation_has_an_example() {
+        let api = serde_json::to_value(api()).expect("plain data");
+        for (path, method, operation) in operations(&api) {
+            let bodies = [
+                "/requestBody",
+                "/responses/200",
+                "/responses/201",
+                "/responses/202",
+            ];
+            let bodies = bodies.map(|body| operation.pointer(body));
+            let contents = bodies
+                .iter()
+                .flatten()
+                .filter_map(|body| body["content"].as_object());
+            let contents: Vec<&Value> = contents.flat_map(|content| content.values()).collect();
+            let parameters = operation["parameters"].as_array();
+            let parameters: Vec<&Value> = parameters.into_iter().flatten().collect();
+            let has = |all: &[&Value], name| all.iter().any(|one| one.get(name).is_some());
+            let has_nothing_to_show = contents.is_empty() && parameters.is_empty();
+            assert!(
+                has_nothing_to_show || has(&contents, "examples") || has(&parameters, "example"),
+                "{method} {path}"
+            );
         }
     }
 

@@ -6,6 +6,7 @@ use fled_core::capture::view_names;
 use fled_core::deblur::{BUILT_IN, NetworkChoice, network_names};
 use fled_core::enhance::Target;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
+use fled_core::reading::below;
 use serde_json::{Map, Value};
 use uuid::Uuid;
 
@@ -207,9 +208,7 @@ fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), P
 }
 
 fn bad_option(error: &OptionsError) -> Problem {
-    // RFC 6901: the two special characters of a JSON pointer.
-    let key = error.key.replace('~', "~0").replace('/', "~1");
     Problem::unprocessable("bad_option", error.to_string())
-        .pointer(format!("/options/{key}"))
+        .pointer(below("options", &below(&error.key, "")))
         .hint("See /v1/options for the options, their ranges and presets.")
 }

@@ -1,4 +1,6 @@
-//! Page sizes of lists.
+//! Pages of lists.
+
+use uuid::Uuid;
 
 use super::problem::Problem;
 
@@ -27,4 +29,17 @@ pub(super) fn within(limit: usize, most: usize) -> Result<(), Problem> {
         Problem::unprocessable("bad_input", format!("`limit` must be from 1 to {most}."))
             .pointer("/limit"),
     )
+}
+
+/// An id in a query, written as the database has it.
+///
+/// # Errors
+/// 422 for what is no id: a list of nothing would hide the mistake.
+pub(super) fn id(asked: Option<&str>, name: &str) -> Result<Option<String>, Problem> {
+    let id = asked.map(str::parse::<Uuid>).transpose();
+    let id = id.map_err(|_| {
+        Problem::unprocessable("bad_input", format!("`{name}` must be a UUID."))
+            .pointer(format!("/{name}"))
+    })?;
+    Ok(id.map(|id| id.to_string()))
 }

@@ -14,10 +14,11 @@ use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::client::ClientAddress;
-use super::extract::{Json, Object, Query};
+use super::extract::{Json, Query};
 use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
+use super::tus::Bytes;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::redaction::without_paths;
@@ -72,8 +73,7 @@ pub struct RenderBody {
     #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
     world_to_camera: [[f64; 4]; 4],
     /// Pinhole camera, pixels.
-    #[schema(value_type = Pinhole)]
-    intrinsics: Object<Pinhole>,
+    intrinsics: Pinhole,
     /// Round to use; by default the delivered one, or else the last finished one.
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
@@ -106,7 +106,7 @@ pub struct Pinhole {
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = Bytes, content_type = "image/*"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Job, view or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
@@ -135,7 +135,7 @@ pub async fn get(
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = Bytes, content_type = "image/*"),
         (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Invalid camera", body = Problem, content_type = "application/problem+json")))]
@@ -147,7 +147,7 @@ pub async fn post(
     Json(body): Json<RenderBody>,
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, body.round).await?;
-    let Object(k) = body.intrinsics;
+    let k = body.intrinsics;
     let intrinsics = Intrinsics {
         width: k.width,
         height: k.height,

@@ -8,6 +8,7 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
+use utoipa::openapi::{Array, Ref};
 use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
@@ -38,15 +39,18 @@ pub enum Form {
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Rounds {
     /// One entry per finished round, with `records` by split, image, reference and brightness.
-    #[schema(value_type = Vec<Object>)]
+    #[schema(schema_with = of_rounds)]
     rounds: Vec<Value>,
     /// Delivered round of a finished job.
     best_round: Option<u32>,
-    /// The rest of `metrics.json` once it exists: registered, views, adapter, models, fallbacks,
-    /// poses, seed, config.
+    /// The rest of `metrics.json` once it exists, whose schemas the document takes from the core.
     #[serde(flatten)]
-    #[schema(value_type = Object)]
+    #[schema(ignore)]
     facts: Map<String, Value>,
+}
+
+fn of_rounds() -> Array {
+    Array::new(Ref::from_schema_name("RoundMetrics"))
 }
 
 /// Shows the metrics of every finished round.

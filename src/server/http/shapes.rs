@@ -1,8 +1,11 @@
 //! The JSON types of the public API.
 
+use fled_core::camera::Split;
+use fled_core::metrics::Reference;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
+use utoipa::openapi::Ref;
 
 use crate::store::state::JobState;
 use crate::store::{CaptureRow, JobRow, ToldJob};
@@ -102,6 +105,9 @@ pub struct Job {
     /// Delivered round of a finished job.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub best_round: Option<u32>,
+    /// How the delivered round compares with photographs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub score: Option<Score>,
     /// Whether cancellation was requested.
     pub cancel_requested: bool,
     /// Number of attempts started.
@@ -123,6 +129,31 @@ pub struct Job {
     pub pinned: bool,
     /// Time at which the job is deleted, RFC 3339.
     pub expires_at: Option<String>,
+}
+
+/// How a result compares with photographs.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Score {
+    /// `gt`: ground truth, which tells quality; `enhanced`: the brightened photographs, which tells
+    /// agreement alone.
+    #[schema(schema_with = of_reference)]
+    pub reference: Reference,
+    /// The views that count: those held out from training, if there are any.
+    #[schema(schema_with = of_split)]
+    pub split: Split,
+    /// Mean PSNR after a per-channel colour fit, dB.
+    pub psnr_cc_db: f64,
+    /// Mean SSIM; absent without ground truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ssim: Option<f64>,
+}
+
+fn of_reference() -> Ref {
+    Ref::from_schema_name("Reference")
+}
+
+fn of_split() -> Ref {
+    Ref::from_schema_name("Split")
 }
 
 /// Why a job failed.
@@ -164,6 +195,7 @@ impl Job {
             stages,
             queue_position,
             stage_started_at,
+            score,
         } = told;
         Self {
             warnings: warnings
@@ -201,6 +233,12 @@ impl Job {
                 hint: error.hint,
             }),
             best_round: row.best_round,
+            score: score.map(|score| Score {
+                reference: score.reference,
+                split: score.split,
+                psnr_cc_db: score.psnr_cc_db,
+                ssim: score.ssim,
+            }),
             cancel_requested: row.cancel_requested,
             attempts: row.attempts,
             preset: row.preset,

@@ -204,9 +204,8 @@ fn check(wanted: &NewLink) -> Result<(), Problem> {
         let detail = format!("A link is valid for 1 to {MOST_DAYS} days.");
         return Err(Problem::unprocessable("bad_days", detail).pointer("/days"));
     }
-    if wanted.name.chars().count() > NAME || wanted.name.chars().any(char::is_control) {
-        let detail =
-            format!("A link's name has at most {NAME} characters and no control characters.");
+    if wanted.name.chars().count() > NAME {
+        let detail = format!("A link's name has at most {NAME} characters.");
         return Err(Problem::unprocessable("bad_name", detail).pointer("/name"));
     }
     Ok(())

@@ -18,14 +18,17 @@ use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
 use fled_core::capture::{MAX_FILES, NAMES};
+use fled_core::reading::below;
 use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
 
 use self::ahead::Ahead;
 use self::budget::Budget;
 use self::places::Places;
+use super::extract::is_of_type;
 use super::problem::{Problem, too_large};
 use super::quota::over_quota;
+use super::texts::check_text;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::files::incoming::Incoming;
@@ -41,6 +44,8 @@ const LONGEST_TEXT: usize = 1 << 16;
 const LONGEST_NAME: usize = 200;
 /// Longest name of a file, bytes. File systems take 255; the rest is for its folders.
 pub(super) const LONGEST_FILE_NAME: usize = 1024;
+/// Name of the part with the options of a job, as JSON.
+pub(super) const OPTIONS: &str = "options";
 /// Names of the parts that are files.
 const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
 
@@ -109,6 +114,7 @@ pub async fn receive(
     while let Some(field) = body.next_field().await.map_err(|error| broken(&error))? {
         ahead.caught_up();
         let part = field.name().unwrap_or_default().to_owned();
+        check_text(&part, &below(&part, ""))?;
         receiver.hasher.update(part.as_bytes());
         match file_name(&field) {
             Some(name) => {
@@ -124,9 +130,7 @@ pub async fn receive(
                     return Err(unknown_field(&part, known));
                 }
                 let text = receiver.text(field).await?;
-                if part == "name" {
-                    check_name(&text)?;
-                }
+                check_field(&part, &text)?;
                 upload.fields.insert(part, text);
             }
         }
@@ -165,19 +169,6 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
 /// Whether a request says that it is multipart/form-data, in whatever case.
 pub fn is_multipart(headers: &HeaderMap) -> bool {
     is_of_type(headers, "multipart/form-data")
-}
-
-/// Whether a request says that it is JSON.
-pub fn is_json(headers: &HeaderMap) -> bool {
-    is_of_type(headers, "application/json")
-}
-
-fn is_of_type(headers: &HeaderMap, wanted: &str) -> bool {
-    let value = headers.get(header::CONTENT_TYPE);
-    let kind = value
-        .and_then(|value| value.to_str().ok())
-        .and_then(|value| value.split(';').next());
-    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(wanted))
 }
 
 /// # Errors
@@ -231,9 +222,18 @@ fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {
         return Err(Problem::unprocessable("bad_input", detail));
     }
     if FILE_PARTS.contains(&part) {
-        return Ok(());
+        return check_text(name, &below(part, ""));
     }
     Err(unknown_field(part, &FILE_PARTS))
+}
+
+fn check_field(part: &str, text: &str) -> Result<(), Problem> {
+    match part {
+        // JSON may have line breaks between its texts.
+        OPTIONS => Ok(()),
+        "name" => check_text(text, "/name").and_then(|()| check_name(text)),
+        part => check_text(text, &below(part, "")),
+    }
 }
 
 fn unknown_field(part: &str, known: &[&str]) -> Problem {
@@ -241,12 +241,11 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
         return nameless(part);
     }
     let shown: String = part.chars().take(LONGEST_NAME).collect();
-    let pointer = format!("/{}", shown.replace('~', "~0").replace('/', "~1"));
     Problem::unprocessable(
         "bad_input",
         format!("The part `{shown}` is unknown or sent twice."),
     )
-    .pointer(pointer)
+    .pointer(below(&shown, ""))
     .hint(format!("Known parts: {}.", known.join(", ")))
 }
 

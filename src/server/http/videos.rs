@@ -11,13 +11,14 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::access::Visitor;
-use super::extract::{Json, Object};
+use super::extract::Json;
 use super::lookup::{cameras_of, find, finished};
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::render::MatrixRow;
 use super::sent::Sent;
 use super::shapes::time;
+use super::tus::Bytes;
 use super::upload;
 use crate::app::App;
 use crate::error::ServerError;
@@ -89,13 +90,13 @@ pub struct CreateVideo {
     #[schema(minimum = 0.1, maximum = 10)]
     distance: Option<f64>,
     /// For a path, 2 to 100 poses.
-    #[schema(value_type = Option<Vec<VideoPose>>, min_items = 2, max_items = 100)]
-    poses: Option<Vec<Object<VideoPose>>>,
+    #[schema(min_items = 2, max_items = 100)]
+    poses: Option<Vec<VideoPose>>,
 }
 
 impl CreateVideo {
     fn plan(self) -> Plan {
-        let key = |Object(pose): Object<VideoPose>| Key {
+        let key = |pose: VideoPose| Key {
             world_to_camera: pose.world_to_camera,
             seconds: pose.seconds,
         };
@@ -313,8 +314,8 @@ pub async fn show(
     tag = "results", params(("id" = String, Path), ("video" = String, Path),
         ("Range" = Option<String>, Header, description = "A single range of bytes")),
     responses(
-        (status = 200, description = "The video", body = serde_json::Value, content_type = "video/mp4"),
-        (status = 206, description = "The requested range", body = serde_json::Value, content_type = "video/mp4"),
+        (status = 200, description = "The video", body = Bytes, content_type = "video/mp4"),
+        (status = 206, description = "The requested range", body = Bytes, content_type = "video/mp4"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The video is not ready, or could not be made", body = Problem, content_type = "application/problem+json"),

@@ -76,6 +76,7 @@ pub struct Delivery {
     /// Type of the event.
     r#type: String,
     /// Body that is sent.
+    #[schema(value_type = Object)]
     body: Value,
     /// Time of the event, RFC 3339.
     created_at: String,
@@ -125,7 +126,7 @@ pub async fn create(
         let detail = "This token lacks the scope `jobs:read`.";
         return Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail));
     }
-    check_url(&wanted.url).map_err(|reason| {
+    check_url(&wanted.url, app.config.inner_webhooks).map_err(|reason| {
         Problem::unprocessable("bad_url", format!("The URL cannot be used: {reason}."))
             .pointer("/url")
     })?;

@@ -7,7 +7,7 @@ use sqlx::any::AnyRow;
 
 use super::engine::Cells;
 use super::notifier::Change;
-use super::results::{StageSeconds, WarningRow, stages_of, warnings_of};
+use super::results::{Score, StageSeconds, WarningRow, scores_of, stages_of, warnings_of};
 use super::{Store, Tx, events};
 use crate::error::{Result, ServerError};
 use crate::store::state::{JobState, Transition};
@@ -121,6 +121,8 @@ pub struct ToldJob {
     pub queue_position: Option<u32>,
     /// When the current stage began, in milliseconds since 1970.
     pub stage_started_at: Option<i64>,
+    /// The score of its delivered round.
+    pub score: Option<Score>,
 }
 
 /// Which jobs to list.
@@ -211,13 +213,14 @@ impl Store {
         Ok(self.told(&rows).await?.pop())
     }
 
-    /// Adds what the jobs have reported, in two statements for any number of jobs.
+    /// Adds what the jobs have reported, in three statements for any number of jobs.
     async fn told(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
         let jobs: Vec<JobRow> = rows.iter().map(from_row).collect::<Result<_>>()?;
         let ids: Vec<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
         let ids = json!(ids).to_string();
         let mut warnings = warnings_of(&self.pool, self.engine, &ids).await?;
         let mut stages = stages_of(&self.pool, self.engine, &ids).await?;
+        let mut scores = scores_of(&self.pool, self.engine, &ids).await?;
         let told = jobs.into_iter().zip(rows).map(|(job, row)| {
             let mut stages = stages.remove(&job.id).unwrap_or_default();
             stages.sort_by_key(|told: &StageSeconds| (told.round, place(&told.stage)));
@@ -226,6 +229,7 @@ impl Store {
                 stages,
                 queue_position: row.count_if_any("queue_position")?,
                 stage_started_at: row.try_get("stage_started_at")?,
+                score: scores.remove(&job.id),
                 row: job,
             })
         });
@@ -264,6 +268,16 @@ impl Store {
         let next = change(&mut tx, id, Transition::CancelRequested).await?;
         tx.commit().await?;
         Ok(next)
+    }
+
+    /// Renames a job. `Ok(false)` if it does not exist.
+    ///
+    /// # Errors
+    /// When a database operation fails.
+    pub async fn rename_job(&self, id: &str, name: &str) -> Result<bool> {
+        let rename = "UPDATE jobs SET name = $1 WHERE id = $2 AND video_of IS NULL";
+        let done = sqlx::query(rename).bind(name).bind(id);
+        Ok(done.execute(&self.pool).await?.rows_affected() == 1)
     }
 
     /// Changes the priority of a job that is not over. `Ok(false)` if it is over or does not exist.

@@ -2,6 +2,9 @@
 
 use std::collections::HashMap;
 
+use fled_core::camera::Split;
+use fled_core::metrics::{Brightness, ImageKind, Record, Reference};
+use serde::Deserialize;
 use serde_json::Value;
 use sqlx::{AnyPool, Row};
 
@@ -18,6 +21,58 @@ pub struct StageSeconds {
     pub round: u32,
     /// Wall seconds.
     pub seconds: f64,
+}
+
+/// How the delivered round compares with photographs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Score {
+    /// The other side of the comparison with its renders.
+    pub reference: Reference,
+    /// The views that count.
+    pub split: Split,
+    /// Mean PSNR after a per-channel colour fit, dB.
+    pub psnr_cc_db: f64,
+    /// Mean SSIM; `None` without ground truth.
+    pub ssim: Option<f64>,
+}
+
+impl Score {
+    /// The score of a round's metrics: of held-out views if there are any, and of ground truth if
+    /// there is any. `None` where an earlier build recorded none that compares rounds.
+    fn of(metrics: &str) -> Option<Self> {
+        #[derive(Deserialize)]
+        struct Judged {
+            records: Vec<Record>,
+            score: Option<f64>,
+        }
+        let judged: Judged = serde_json::from_str(metrics).ok()?;
+        let has_truth = judged
+            .records
+            .iter()
+            .any(|one| one.reference == Reference::Gt);
+        let reference = if has_truth {
+            Reference::Gt
+        } else {
+            Reference::Enhanced
+        };
+        let of_split = |split| {
+            judged.records.iter().find(|one| {
+                let of_result =
+                    one.image == ImageKind::Render && one.brightness == Brightness::Final;
+                of_result && one.reference == reference && one.split == split
+            })
+        };
+        let record = of_split(Split::HeldOut).or_else(|| of_split(Split::Train))?;
+        // A render agrees with a shaken photograph once it is shaken as that is. Up to 1 it is an
+        // SSIM of earlier builds.
+        let agreement = judged.score.filter(|score| !has_truth && *score > 1.0);
+        Some(Self {
+            reference,
+            split: record.split,
+            psnr_cc_db: agreement.unwrap_or(record.psnr_cc_db),
+            ssim: has_truth.then_some(record.ssim),
+        })
+    }
 }
 
 /// Something the user should know.
@@ -125,6 +180,31 @@ pub(super) async fn warnings_of(
     Ok(warnings)
 }
 
+/// Returns the scores of the delivered rounds of the jobs in `ids`, by job.
+pub(super) async fn scores_of(
+    pool: &AnyPool,
+    engine: Engine,
+    ids: &str,
+) -> Result<HashMap<String, Score>> {
+    let delivered = format!(
+        "SELECT job_id, metrics FROM rounds JOIN jobs ON jobs.id = job_id
+         AND jobs.best_round = rounds.round WHERE job_id IN ({})",
+        engine.listed("$1")
+    );
+    let rows = sqlx::query(sqlx::AssertSqlSafe(delivered))
+        .bind(ids)
+        .fetch_all(pool)
+        .await?;
+    let mut scores = HashMap::new();
+    for row in rows {
+        let metrics: String = row.try_get("metrics")?;
+        if let Some(score) = Score::of(&metrics) {
+            scores.insert(row.try_get("job_id")?, score);
+        }
+    }
+    Ok(scores)
+}
+
 /// Returns the duration of every finished stage of the jobs in `ids`, by job, in no order.
 pub(super) async fn stages_of(
     pool: &AnyPool,
@@ -149,4 +229,47 @@ pub(super) async fn stages_of(
         });
     }
     Ok(stages)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn record(split: &str, image: &str, reference: &str, psnr: f64) -> Value {
+        json!({ "split": split, "image": image, "reference": reference, "brightness": "final",
+            "views": 3, "psnr_db": 1.0, "psnr_cc_db": psnr, "ssim": 0.5 })
+    }
+
+    #[test]
+    fn ground_truth_and_held_out_views_score_first() {
+        let score = |records: &[Value], agreement: Value| {
+            let metrics = json!({ "records": records, "score": agreement, "round": 1 });
+            Score::of(&metrics.to_string())
+        };
+        let own = record("train", "render", "enhanced", 20.0);
+        let held_out = record("held_out", "render", "enhanced", 21.0);
+        let truth = record("held_out", "render", "gt", 22.0);
+        let dark = record("held_out", "enhanced", "gt", 9.0);
+        let found = score(&[dark, own.clone(), held_out.clone(), truth], json!(30.0));
+        let wanted = Score {
+            reference: Reference::Gt,
+            split: Split::HeldOut,
+            psnr_cc_db: 22.0,
+            ssim: Some(0.5),
+        };
+        assert_eq!(found, Some(wanted));
+        let of_own = |records: &[Value], agreement| {
+            let score = score(records, agreement).expect("a score");
+            assert_eq!((score.reference, score.ssim), (Reference::Enhanced, None));
+            (score.split, score.psnr_cc_db)
+        };
+        let both = [own.clone(), held_out];
+        assert_eq!(of_own(&both, json!(26.5)), (Split::HeldOut, 26.5));
+        assert_eq!(of_own(&both, json!(0.8)), (Split::HeldOut, 21.0));
+        assert_eq!(of_own(&[own], Value::Null), (Split::Train, 20.0));
+        assert_eq!(score(&[], json!(26.5)), None);
+        assert_eq!(Score::of("{}"), None);
+    }
 }

@@ -21,11 +21,12 @@ const LONGEST: usize = 2000;
 /// The reason why an inner address is refused.
 pub const INNER: &str = "the name resolves to an address in an internal network";
 
-/// Parses a URL and checks its form.
+/// Parses a URL and checks its form, and that it names no address of an inner network, unless
+/// `inner` is set. A name may resolve to one later, when it is refused, too.
 ///
 /// # Errors
 /// A description of what is wrong.
-pub fn check_url(url: &str) -> Result<Uri, &'static str> {
+pub fn check_url(url: &str, inner: bool) -> Result<Uri, &'static str> {
     if url.len() > LONGEST {
         return Err("it is longer than 2,000 characters");
     }
@@ -40,7 +41,29 @@ pub fn check_url(url: &str) -> Result<Uri, &'static str> {
     if authority.host().is_empty() {
         return Err("it has no host");
     }
+    if !inner && is_inner(authority.host()) {
+        return Err("it is in an internal network");
+    }
     Ok(uri)
+}
+
+/// Whether a host is this machine or an address that is not public. A host that ends in a number is
+/// an address, in whatever notation (WHATWG URL, 3.5); no public one is written other than in four
+/// decimal parts.
+fn is_inner(host: &str) -> bool {
+    let host = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
+    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    if let Ok(address) = bare.parse() {
+        return !is_outer(address);
+    }
+    let last = host.rsplit('.').next().unwrap_or_default();
+    let is_number = |digits: &str, radix| {
+        !digits.is_empty() && digits.chars().all(|digit| digit.is_digit(radix))
+    };
+    let hexadecimal = last.strip_prefix("0x");
+    last == "localhost"
+        || is_number(last, 10)
+        || hexadecimal.is_some_and(|digits| digits.is_empty() || is_number(digits, 16))
 }
 
 /// An HTTP agent that allows each request `patience`, and addresses of inner networks if `inner` is
@@ -102,8 +125,10 @@ mod tests {
             "https://example.org/hook?a=b",
             "http://example.org:8080/",
             "https://[2606:4700::1]/",
+            "https://1.1.1.1/",
+            "https://0x.example.org/",
         ] {
-            assert!(check_url(good).is_ok(), "{good}");
+            assert!(check_url(good, false).is_ok(), "{good}");
         }
         let long = format!("https://example.org/{}", "a".repeat(LONGEST));
         for bad in [
@@ -117,7 +142,7 @@ mod tests {
             "not a url",
             &long,
         ] {
-            assert!(check_url(bad).is_err(), "{bad}");
+            assert!(check_url(bad, true).is_err(), "{bad}");
         }
     }
 
@@ -133,8 +158,20 @@ mod tests {
             "http://[::ffff:127.0.0.1]:1/",
             "http://169.254.169.254/latest",
         ];
+        // Not every resolver knows these.
+        for url in [
+            "http://hook.localhost/",
+            "http://127.0.0.1./",
+            "http://a.0X7F/",
+        ] {
+            assert!(check_url(url, false).is_err(), "{url}");
+        }
         let agent = agent(Duration::from_secs(5), false);
         for url in inner {
+            assert!(
+                check_url(url, false).is_err() && check_url(url, true).is_ok(),
+                "{url}"
+            );
             let error = agent.get(url).call().expect_err(url);
             assert_eq!(reason(&error), INNER, "{url}");
         }

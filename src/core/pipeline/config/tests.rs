@@ -72,7 +72,7 @@ fn every_nth_view_may_be_a_number_or_a_string_in_json() {
         read(true.into())
             .expect_err("no list")
             .to_string()
-            .contains("expected a number or a string")
+            .contains("must be a number or a string")
     );
 }
 

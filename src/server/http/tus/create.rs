@@ -8,7 +8,7 @@ use axum::http::{HeaderMap, StatusCode};
 use tokio::fs::File;
 use uuid::Uuid;
 
-use super::fields::{CONCAT, DEFER_LENGTH, LENGTH, bad, is_piece, number, other_type};
+use super::fields::{CONCAT, DEFER_LENGTH, LENGTH, is_piece, number, other_type, unfit};
 use super::metadata::Metadata;
 use super::piece::{self, Piece, Stands, life};
 use crate::app::App;
@@ -35,8 +35,8 @@ pub(super) struct Begun {
 /// Begins an upload, with its first piece where the request has one.
 ///
 /// # Errors
-/// 400 for headers that cannot be read, 413, 429 and 507 where there is no room for it, and those
-/// of the first piece: then nothing was begun.
+/// 400 for headers that cannot be read, 422 for others that cannot be used, 413, 429 and 507 where
+/// there is no room for it, and those of the first piece: then nothing was begun.
 pub(super) async fn begin(
     app: &Arc<App>,
     visitor: &Visitor,
@@ -82,7 +82,7 @@ fn length(headers: &HeaderMap) -> Result<u64, Problem> {
         (CONCAT, "Concatenation is"),
     ] {
         if headers.contains_key(&name) {
-            return Err(bad(format!("{of} not supported: `{name}`.")));
+            return Err(unfit(format!("{of} not supported: `{name}`.")));
         }
     }
     number(headers, &LENGTH)

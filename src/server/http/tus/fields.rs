@@ -22,6 +22,7 @@ pub(super) const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-m
 
 /// The type of a body that is a piece.
 const PIECE: &str = "application/offset+octet-stream";
+const HINT: &str = "See the tus protocol, version 1.0.0, and /openapi.yaml.";
 /// Longer files are counted by nobody.
 const MOST: u64 = i64::MAX as u64;
 
@@ -72,10 +73,14 @@ pub(super) fn other_type() -> Problem {
     .hint(format!("Send `Content-Type: {PIECE}`."))
 }
 
-/// 400 for what stands in a field.
+/// 400 for a field that cannot be read.
 pub(super) fn bad(detail: impl Into<String>) -> Problem {
-    Problem::new(StatusCode::BAD_REQUEST, "bad_request", detail)
-        .hint("See the tus protocol, version 1.0.0, and /openapi.yaml.")
+    Problem::new(StatusCode::BAD_REQUEST, "bad_request", detail).hint(HINT)
+}
+
+/// 422 for a field that can be read, but not used.
+pub(super) fn unfit(detail: impl Into<String>) -> Problem {
+    Problem::unprocessable("bad_input", detail).hint(HINT)
 }
 
 /// A time as HTTP writes it.

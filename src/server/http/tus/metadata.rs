@@ -6,8 +6,9 @@ use axum::http::HeaderMap;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 
-use super::fields::{METADATA, bad, text};
+use super::fields::{METADATA, bad, text, unfit};
 use crate::http::problem::Problem;
+use crate::http::texts::check_text;
 use crate::http::upload::LONGEST_FILE_NAME;
 
 /// Longest metadata, bytes: they are kept with every upload.
@@ -22,11 +23,11 @@ pub(super) struct Metadata {
 
 impl Metadata {
     /// # Errors
-    /// 400 where they cannot be read or name no file.
+    /// 400 where they cannot be read, 422 where they are too long or name no file in plain text.
     pub(super) fn of(headers: &HeaderMap) -> Result<Self, Problem> {
         let sent = text(headers, &METADATA)?.unwrap_or_default();
         if sent.len() > LONGEST {
-            return Err(bad(format!(
+            return Err(unfit(format!(
                 "`Upload-Metadata` has more than {LONGEST} bytes."
             )));
         }
@@ -39,11 +40,14 @@ impl Metadata {
             .filter(|path| !matches!(&path[..], b"" | b"null"));
         let filename = path.or(read.get("filename")).cloned().unwrap_or_default();
         match String::from_utf8(filename) {
-            Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => Ok(Self {
-                sent: sent.to_owned(),
-                filename,
-            }),
-            _ => Err(bad(format!(
+            Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => {
+                check_text(&filename, "/filename")?;
+                Ok(Self {
+                    sent: sent.to_owned(),
+                    filename,
+                })
+            }
+            _ => Err(unfit(format!(
                 "`Upload-Metadata` needs a `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."
             ))),
         }

@@ -2,6 +2,7 @@
 //! wrong, none is a 500, and none contains a path of the server.
 
 use crate::support::{Server, file, photographs, text, zip};
+use fled_tests::Reply;
 use serde_json::{Value, json};
 
 const CAMERA_FOCAL: f64 = 50.0;
@@ -189,11 +190,11 @@ fn an_unknown_last_event_id_is_refused() {
         "1.5",
         "",
     ] {
-        server.get(&path, &[("last-event-id", bogus)]).expect(400);
+        server.get(&path, &[("last-event-id", bogus)]).expect(422);
     }
     server
         .get(&format!("{path}?after=1000000"), &[])
-        .expect(400);
+        .expect(422);
     server.get(&path, &[("last-event-id", "1")]).expect(200);
 }
 
@@ -221,4 +222,85 @@ fn no_answer_contains_a_path_of_the_server() {
         ready.contains("no colmap") && !ready.contains("/usr/bin"),
         "{ready}"
     );
+}
+
+#[test]
+fn texts_that_control_what_shows_them_are_refused() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    let code = |reply: Reply| reply.expect(422).json()["code"].clone();
+    for path in [
+        "/v1/jobs/a%00b",
+        "/v1/jobs/%E2%80%AEgpj",
+        "/v1/captures/%1b",
+        "/v1/jobs/x/videos/%00/file",
+        "/v1/captures?cursor=%00",
+        "/v1/jobs?capture_id=%00",
+    ] {
+        assert_eq!(code(server.get(path, &[])), "bad_text", "{path}");
+    }
+    server.get("/v1/jobs/%ff", &[]).expect(400);
+    let order = |name: &str| json!({ "capture_id": capture, "name": name });
+    for name in ["a\0b", "a\nb", "\u{1b}[2J", "\u{202e}gpj", "\u{2066}a"] {
+        let refused = server
+            .post_json("/v1/jobs", &order(name), &[])
+            .expect(422)
+            .json();
+        assert_eq!(
+            (&refused["code"], &refused["pointer"]),
+            (&json!("bad_text"), &json!("/name")),
+            "{name:?}"
+        );
+        let mut parts = photographs(3);
+        parts.push(text("name", name));
+        assert_eq!(
+            code(server.upload("/v1/captures", &parts, &[])),
+            "bad_text",
+            "{name:?}"
+        );
+    }
+    let mut parts = photographs(3);
+    parts.push(file("\u{202e}gpj.png", b"x"));
+    assert_eq!(code(server.upload("/v1/captures", &parts, &[])), "bad_text");
+    let mut parts = photographs(3);
+    parts.push(text("options", "{\n\"adapter\": \"a\\u0000\"\n}"));
+    let refused = server.upload("/v1/jobs", &parts, &[]).expect(422).json();
+    assert_eq!(refused["pointer"], "/options/adapter");
+    let options = json!({ "capture_id": capture, "options": { "adapter": "a\0" } });
+    assert_eq!(
+        code(server.post_json("/v1/jobs", &options, &[])),
+        "bad_text"
+    );
+}
+
+#[test]
+fn a_body_that_does_not_fit_is_refused_in_plain_words() {
+    let server = Server::start();
+    let json = [("content-type", "application/json")];
+    for (body, status, told) in [
+        ("{", 400, "The body is not JSON: it ends too early."),
+        ("{]", 400, "The body is not JSON: see line 1, column 2."),
+        ("[]", 422, "The body must be an object."),
+        ("{}", 422, "`capture_id` is missing."),
+        ("{\"capture_id\":1}", 422, "`capture_id` must be a string."),
+        (
+            "{\"capture_id\":\"a\",\"options\":[]}",
+            422,
+            "`options` must be an object.",
+        ),
+    ] {
+        let refused = server
+            .post("/v1/jobs", body.as_bytes(), &json)
+            .expect(status);
+        assert_eq!(refused.json()["detail"], told, "{body}");
+        assert_eq!(refused.header("content-type"), "application/problem+json");
+    }
+    let options = json!({ "capture_id": server.capture(3), "options": { "rounds": "two" } });
+    let refused = server
+        .post_json("/v1/jobs", &options, &[])
+        .expect(422)
+        .json();
+    let told = "option `rounds`: must be a whole number from 0 to 4294967295";
+    assert_eq!(refused["detail"], told);
+    assert_eq!(refused["pointer"], "/options/rounds");
 }

@@ -1,5 +1,8 @@
 //! The API as a whole through a real server process: origins, lists, health.
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
+
 use crate::support::{Server, photographs, text};
 
 #[test]
@@ -10,9 +13,8 @@ fn pages_of_other_sites_cannot_start_jobs() {
         ("sec-fetch-site", "cross-site"),
     ];
     // A small body: the refusal comes before it is read.
-    server
-        .upload("/v1/jobs", &[text("name", "evil")], &evil)
-        .expect(403);
+    let refused = server.upload("/v1/jobs", &[text("name", "evil")], &evil);
+    assert_eq!(refused.expect(403).json()["code"], "cross_origin");
     let own = [("origin", server.base.as_str())];
     server
         .upload("/v1/captures", &photographs(3), &own)
@@ -28,6 +30,14 @@ fn a_foreign_host_name_is_refused() {
     assert_eq!(problem.json()["code"], "unknown_host");
     server.get("/v1/jobs", &rebound).expect(421);
     server.get("/v1/jobs", &[("host", "fled.test")]).expect(200);
+    let address = server.base.trim_start_matches("http://");
+    let mut stream = TcpStream::connect(address).expect("connected");
+    let nameless = b"GET /v1/jobs HTTP/1.1\r\nConnection: close\r\n\r\n";
+    stream.write_all(nameless).expect("asked");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("answered");
+    assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
+    assert!(answer.contains("application/problem+json"), "{answer}");
     server
         .get("/v1/jobs", &[("host", "localhost:1")])
         .expect(200);
@@ -62,7 +72,26 @@ fn lists_are_paged_without_gaps_and_filtered_by_state() {
     assert_eq!(seen, jobs);
     let page = server.get("/v1/jobs?state=failed", &[]).expect(200).json();
     assert_eq!(page["jobs"].as_array().map(Vec::len), Some(1));
-    server.get("/v1/jobs?state=done", &[]).expect(400);
+    for (query, pointer) in [
+        ("state=done", "/state"),
+        ("stat=failed", "/stat"),
+        ("limit=many", "/limit"),
+        ("limit=1&limit=1", "/limit"),
+        ("cursor=zzz", "/cursor"),
+        ("capture_id=zzz", "/capture_id"),
+    ] {
+        let refused = server
+            .get(&format!("/v1/jobs?{query}"), &[])
+            .expect(422)
+            .json();
+        assert_eq!(refused["pointer"], pointer, "{refused:#}");
+        let detail = refused["detail"].as_str().expect("detail");
+        assert!(
+            !detail.contains("deserialize") && !detail.contains("expected"),
+            "{detail}"
+        );
+    }
+    server.get("/v1/captures?cursor=zzz", &[]).expect(422);
 }
 
 #[test]

@@ -130,6 +130,8 @@ fn active_requests_keep_their_places_and_others_get_503() {
         refused.starts_with("HTTP/1.1 503") && refused.contains("Retry-After"),
         "{refused}"
     );
+    assert!(refused.contains("application/problem+json"), "{refused}");
+    assert!(refused.contains("too_many_connections"), "{refused}");
     drop(streams);
     sleep(Duration::from_millis(500));
     server.get("/livez", &[]).expect(200);

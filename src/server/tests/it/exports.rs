@@ -59,7 +59,7 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     );
     get("/scene.spz").expect(404);
     get("/restored.zip?round=9").expect(404);
-    get("/restored.zip?rounds=1").expect(400);
+    get("/restored.zip?rounds=1").expect(422);
 }
 
 #[test]

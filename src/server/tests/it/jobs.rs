@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::support::{Server, gone, photographs, processes_of, text};
+use crate::support::{Part, Server, gone, photographs, processes_of, text};
 use serde_json::json;
 
 #[test]
@@ -58,6 +58,43 @@ fn a_job_goes_from_upload_to_results() {
         (log["lines"].as_array().expect("lines").len(), &log["end"]),
         (3, &false.into())
     );
+}
+
+#[test]
+fn a_job_can_be_renamed_and_tells_its_score() {
+    let server = Server::start();
+    let mut parts = photographs(4);
+    let truth = |(_, name, content): Part| ("gt".to_owned(), name, content);
+    parts.extend(photographs(4).into_iter().map(truth));
+    parts.push(text("options", r#"{"adapter":"ok","rounds":2}"#));
+    let made = server.upload("/v1/jobs", &parts, &[]).expect(202).json();
+    let job = made["id"].as_str().expect("id");
+    let path = format!("/v1/jobs/{job}");
+    let ask = |path: &str, body: &serde_json::Value| {
+        let json = [("content-type", "application/json")];
+        server.ask("PATCH", path, &json, body.to_string().as_bytes())
+    };
+    let named = ask(&path, &json!({ "name": "Küche" })).expect(200).json();
+    assert_eq!(named["name"], "Küche");
+    let ended = server.wait_state(job, "succeeded");
+    assert_eq!(ended["name"], "Küche");
+    let score =
+        json!({ "reference": "gt", "split": "held_out", "psnr_cc_db": 20.5, "ssim": 0.4875 });
+    assert_eq!(
+        ended["score"], score,
+        "of the second round's held-out views"
+    );
+    ask(&path, &json!({ "name": "b" })).expect(200);
+    let page = server.get("/v1/jobs", &[]).expect(200).json();
+    assert_eq!(page["jobs"][0]["name"], "b");
+    assert_eq!(page["jobs"][0]["score"], score);
+    for wrong in ["", "a\n", &"x".repeat(201)] {
+        let refused = ask(&path, &json!({ "name": wrong })).expect(422).json();
+        assert_eq!(refused["pointer"], "/name", "{refused:#}");
+    }
+    ask(&path, &json!({})).expect(422);
+    ask(&path, &json!({ "name": "c", "state": "failed" })).expect(422);
+    ask("/v1/jobs/none", &json!({ "name": "c" })).expect(404);
 }
 
 #[test]

@@ -104,12 +104,12 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
     let depth = render("view=001&format=png&round=1&show=depth").expect(200);
     assert_ne!(depth.header("etag"), png.header("etag"));
     assert_ne!(depth.body, png.body);
-    render("view=001&show=height").expect(400);
+    render("view=001&show=height").expect(422);
     render("view=nobody").expect(404);
     render("round=2").expect(404);
     render("width=99999").expect(422);
     render("azimuth=NaN").expect(422);
-    render("azimut=1").expect(400);
+    render("azimut=1").expect(422);
     server.wait_state(&job, "succeeded");
     assert_ne!(
         render("azimuth=10&elevation=5&width=64")

@@ -70,6 +70,7 @@ fn a_share_link_shows_only_its_job() {
         server.get(&of(&job, path), &with).expect(200);
         server.get(&of(&other, path), &with).expect(404);
     }
+    check_log_is_hidden(&server, &job, &admin, &link);
     // Its training is over.
     server.get(&of(&job, "/live"), &with).expect(204);
     server.get(&of(&other, "/live"), &with).expect(404);
@@ -91,6 +92,11 @@ fn a_share_link_shows_only_its_job() {
         server.post(&of(&job, path), b"", &with).expect(403);
     }
     server.delete_as(&of(&job, ""), &with).expect(403);
+    let name = br#"{"name":"a"}"#;
+    let headers = [with[0], ("content-type", "application/json")];
+    server
+        .ask("PATCH", &of(&job, ""), &headers, name)
+        .expect(403);
     server
         .delete_as(&of(&job, &format!("/shares/{id}")), &with)
         .expect(403);
@@ -100,6 +106,21 @@ fn a_share_link_shows_only_its_job() {
     server
         .get(&of(&job, ""), &[("authorization", &admin)])
         .expect(200);
+}
+
+/// Checks that the owner sees the log among the files, and the holder of a link does not.
+fn check_log_is_hidden(server: &Server, job: &str, owner: &str, link: &str) {
+    let folder = server.data.path().join("data/jobs").join(job);
+    std::fs::write(folder.join("output/log.txt"), "a path of this machine").expect("written");
+    let files = format!("/v1/jobs/{job}/artifacts");
+    for (header, status, is_listed) in [(owner, 200, true), (link, 404, false)] {
+        let with = [("authorization", header)];
+        let listed = server.get(&files, &with).expect(200).text();
+        assert_eq!(listed.contains("log.txt"), is_listed);
+        server
+            .get(&format!("{files}/log.txt"), &with)
+            .expect(status);
+    }
 }
 
 #[test]

@@ -124,12 +124,16 @@ fn an_invalid_upload_is_refused_before_it_begins() {
         (400, vec![NAMED]),
         (400, vec![NAMED, ("upload-length", "-1")]),
         (400, vec![NAMED, ("upload-length", "5e3")]),
-        (400, vec![NAMED, ("upload-defer-length", "1")]),
-        (400, vec![NAMED, length, ("upload-concat", "partial")]),
-        (400, vec![length]),
-        (400, vec![length, ("upload-metadata", "filename")]),
+        (422, vec![NAMED, ("upload-defer-length", "1")]),
+        (422, vec![NAMED, length, ("upload-concat", "partial")]),
+        (422, vec![length]),
+        (422, vec![length, ("upload-metadata", "filename")]),
         (400, vec![length, ("upload-metadata", "filename !")]),
-        (400, vec![length, ("upload-metadata", &long)]),
+        (
+            422,
+            vec![length, ("upload-metadata", "filename YQBiLnBuZw==")],
+        ),
+        (422, vec![length, ("upload-metadata", &long)]),
         (413, vec![NAMED, ("upload-length", "1001")]),
     ] {
         let refused = tus.ask("POST", "/v1/uploads", &headers, b"");
