@@ -13,9 +13,7 @@ const TOLERANCE: u64 = 300;
 /// since 1970.
 pub fn genuine(secret: &str, headers: [&str; 3], body: &[u8], now: i64) -> bool {
     let [id, sent, signatures] = headers;
-    let is_now = sent
-        .parse()
-        .is_ok_and(|sent: i64| now.abs_diff(sent) <= TOLERANCE);
+    let is_now = sent.parse().is_ok_and(|sent: i64| now.abs_diff(sent) <= TOLERANCE);
     let Ok(key) = STANDARD.decode(secret.trim_start_matches("whsec_")) else {
         return false;
     };

@@ -29,10 +29,7 @@ impl Blob {
     }
 
     pub(crate) fn named(hash: blake3::Hash, bytes: u64) -> Self {
-        Self {
-            digest: hash.to_hex().to_string(),
-            bytes,
-        }
+        Self { digest: hash.to_hex().to_string(), bytes }
     }
 }
 

@@ -94,10 +94,7 @@ pub enum BlobError {
 impl BlobError {
     /// Returns a constructor of [`BlobError::Io`] for `path`, for `map_err`.
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
-        move |source| Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        move |source| Self::Io { path: path.to_owned(), source }
     }
 
     /// Returns whether a local file does not exist.

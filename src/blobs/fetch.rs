@@ -97,9 +97,9 @@ impl Blobs {
         let (target, limit) = (to.to_owned(), blob.bytes);
         let arriving = blocking(move || Arriving::beside(&target, limit)).await?;
         let arrived = match got.payload {
-            GetResultPayload::File(file, _) => blocking(move || arriving.take_all(file))
-                .await
-                .map_err(Failed::from),
+            GetResultPayload::File(file, _) => {
+                blocking(move || arriving.take_all(file)).await.map_err(Failed::from)
+            }
             GetResultPayload::Stream(stream) => take_stream(arriving, stream).await,
         }?;
         let got = Blob::named(arrived.hasher.finalize(), arrived.bytes);
@@ -160,14 +160,7 @@ impl Arriving {
         std::fs::create_dir_all(folder).map_err(BlobError::io(folder))?;
         let path = folder.join(format!("{UNFINISHED}{}", Uuid::now_v7()));
         let file = File::create_new(&path).map_err(BlobError::io(&path))?;
-        Ok(Self {
-            file,
-            path,
-            renamed: false,
-            hasher: blake3::Hasher::new(),
-            bytes: 0,
-            limit,
-        })
+        Ok(Self { file, path, renamed: false, hasher: blake3::Hasher::new(), bytes: 0, limit })
     }
 
     /// Writes the buffer, and returns it emptied.

@@ -67,9 +67,7 @@ pub async fn pull(
     let (root, wanted) = (folder.to_owned(), kept.to_vec());
     let placed = blocking(move || placed(&root, wanted)).await?;
     let is_known = |one: &Absent| {
-        let digest = one
-            .stamp
-            .and_then(|stamp| seen.digest(&one.kept.path, stamp));
+        let digest = one.stamp.and_then(|stamp| seen.digest(&one.kept.path, stamp));
         digest == Some(one.kept.blob.digest.as_str())
     };
     let absent: Vec<Absent> = placed.into_iter().filter(|one| !is_known(one)).collect();
@@ -78,11 +76,7 @@ pub async fn pull(
     let bringing = absent.into_iter().map(|one| bring(blobs.clone(), one));
     let mut bringing = futures::stream::iter(bringing).buffer_unordered(AT_ONCE);
     while let Some(present) = bringing.next().await {
-        let Present {
-            kept: Kept { path, blob },
-            stamp,
-            fetched,
-        } = present?;
+        let Present { kept: Kept { path, blob }, stamp, fetched } = present?;
         if fetched {
             pulled.files += 1;
             pulled.bytes += blob.bytes;
@@ -93,10 +87,7 @@ pub async fn pull(
     }
     if let Some(exact) = exact {
         let root = folder.to_owned();
-        let mut others = blocking(move || list(&root))
-            .await?
-            .unwrap_or_default()
-            .files;
+        let mut others = blocking(move || list(&root)).await?.unwrap_or_default().files;
         others.retain(|path| exact(path) && !paths.contains(path));
         let root = folder.to_owned();
         pulled.removed = blocking(move || remove(&root, &others)).await?;
@@ -110,23 +101,13 @@ fn placed(folder: &Path, kept: Vec<Kept>) -> Result<Vec<Absent>> {
         let file = place(folder, &kept.path)?;
         expect_no_links(folder, &file)?;
         let stamp = stamp(&file)?;
-        Ok(Absent {
-            kept,
-            folder: folder.to_owned(),
-            file,
-            stamp,
-        })
+        Ok(Absent { kept, folder: folder.to_owned(), file, stamp })
     });
     placed.collect()
 }
 
 async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
-    let Absent {
-        kept,
-        folder,
-        file,
-        stamp,
-    } = absent;
+    let Absent { kept, folder, file, stamp } = absent;
     if let Some(stamp) = stamp
         && stamp.bytes == kept.blob.bytes
     {
@@ -138,21 +119,13 @@ async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
             blob => Some(blob?),
         };
         if blob.as_ref() == Some(&kept.blob) {
-            return Ok(Present {
-                kept,
-                stamp,
-                fetched: false,
-            });
+            return Ok(Present { kept, stamp, fetched: false });
         }
     }
     let (root, target) = (folder, file.clone());
     blocking(move || expect_no_links(&root, &target)).await?;
     let stamp = blobs.fetch(&kept.blob, &file).await?;
-    Ok(Present {
-        kept,
-        stamp,
-        fetched: true,
-    })
+    Ok(Present { kept, stamp, fetched: true })
 }
 
 fn remove(folder: &Path, paths: &BTreeSet<String>) -> Result<usize> {

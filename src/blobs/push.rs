@@ -79,23 +79,13 @@ pub async fn push(
         let digest = seen.digest(&path, stamp);
         let unchanged = digest.is_some() && digest == known.as_ref().map(|b| b.digest.as_str());
         let file = folder.join(&path);
-        (!unchanged).then_some(Candidate {
-            path,
-            file,
-            stamp,
-            known,
-        })
+        (!unchanged).then_some(Candidate { path, file, stamp, known })
     });
     let candidates: Vec<Candidate> = candidates.collect();
     let looks = candidates.into_iter().map(|one| look(blobs.clone(), one));
     let mut looks = futures::stream::iter(looks).buffer_unordered(AT_ONCE);
     while let Some(looked) = looks.next().await {
-        let Some(Looked {
-            candidate: Candidate { path, stamp, .. },
-            blob,
-            put,
-        }) = looked?
-        else {
+        let Some(Looked { candidate: Candidate { path, stamp, .. }, blob, put }) = looked? else {
             pushed.skipped += 1;
             continue;
         };
@@ -149,11 +139,7 @@ async fn look(blobs: Blobs, candidate: Candidate) -> Result<Option<Looked>> {
     let file = candidate.file.clone();
     let after = blocking(move || stamp(&file)).await?;
     let same = after == Some(candidate.stamp);
-    Ok(same.then_some(Looked {
-        candidate,
-        blob,
-        put,
-    }))
+    Ok(same.then_some(Looked { candidate, blob, put }))
 }
 
 async fn look_into(blobs: &Blobs, candidate: &Candidate) -> Result<(Blob, bool)> {

@@ -103,14 +103,10 @@ impl Blobs {
         let upload = self.store().put_multipart(&key).await;
         let mut upload = upload.map_err(|error| self.failed("begin a blob", error))?;
         let mut parts = JoinSet::new();
-        let mut sent = self
-            .read_and_send(upload.as_mut(), &mut parts, reading, blob)
-            .await;
+        let mut sent = self.read_and_send(upload.as_mut(), &mut parts, reading, blob).await;
         if sent.is_ok() {
             let completed = upload.complete().await;
-            sent = completed
-                .map(|_| ())
-                .map_err(|error| self.failed("complete a blob", error));
+            sent = completed.map(|_| ()).map_err(|error| self.failed("complete a blob", error));
         }
         if sent.is_err() {
             parts.shutdown().await;
@@ -155,11 +151,7 @@ impl Blobs {
         while let Some(part) = parts.join_next().await {
             self.arrived(part)?;
         }
-        if reading.named() == *blob {
-            Ok(())
-        } else {
-            Err(BlobError::Changed(reading.path))
-        }
+        if reading.named() == *blob { Ok(()) } else { Err(BlobError::Changed(reading.path)) }
     }
 
     fn arrived(&self, part: Result<object_store::Result<()>, JoinError>) -> Result<()> {
@@ -209,12 +201,7 @@ struct Reading<R> {
 
 impl<R: Read> Reading<R> {
     fn of(source: R, path: &Path) -> Self {
-        Self {
-            source,
-            path: path.to_owned(),
-            hasher: blake3::Hasher::new(),
-            bytes: 0,
-        }
+        Self { source, path: path.to_owned(), hasher: blake3::Hasher::new(), bytes: 0 }
     }
 
     /// Reads the next part, which is short only at the end. Blocks.

@@ -124,10 +124,7 @@ impl Blobs {
                 builder = builder.with_config(key, value);
             }
         }
-        let store = builder
-            .with_bucket_name(bucket)
-            .build()
-            .map_err(|error| refused(&error))?;
+        let store = builder.with_bucket_name(bucket).build().map_err(|error| refused(&error))?;
         let location = format!("s3://{bucket}/{prefix}");
         let location = location.trim_end_matches('/').to_owned();
         Ok(Self::of(Arc::new(store), prefix, location, None))
@@ -147,9 +144,7 @@ impl Blobs {
             uploading: Arc::new(Semaphore::new(UPLOADING_MIB as usize)),
             probe: Mutex::new(Uuid::now_v7()),
         };
-        Self {
-            shared: Arc::new(shared),
-        }
+        Self { shared: Arc::new(shared) }
     }
 
     /// The location without secrets, for messages.
@@ -163,12 +158,10 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::NotReady`] or [`BlobError::Store`] if they cannot.
     pub async fn check(&self) -> Result<()> {
-        tokio::time::timeout(PROBE, self.probe())
-            .await
-            .unwrap_or_else(|_| {
-                let detail = format!("no answer within {} s", PROBE.as_secs());
-                Err(self.not_ready(detail))
-            })
+        tokio::time::timeout(PROBE, self.probe()).await.unwrap_or_else(|_| {
+            let detail = format!("no answer within {} s", PROBE.as_secs());
+            Err(self.not_ready(detail))
+        })
     }
 
     async fn probe(&self) -> Result<()> {
@@ -206,10 +199,7 @@ impl Blobs {
             let name = object.location.filename().unwrap_or_default();
             let is_blob = is_digest(name) && object.location == self.key(name);
             if is_blob && age_of(&object) > age {
-                old.push(Blob {
-                    digest: name.to_owned(),
-                    bytes: object.size,
-                });
+                old.push(Blob { digest: name.to_owned(), bytes: object.size });
             }
         }
         Ok(old)
@@ -289,18 +279,11 @@ impl Blobs {
     }
 
     pub(crate) fn failed(&self, doing: &'static str, source: object_store::Error) -> BlobError {
-        BlobError::Store {
-            location: self.location().to_owned(),
-            doing,
-            source,
-        }
+        BlobError::Store { location: self.location().to_owned(), doing, source }
     }
 
     fn not_ready(&self, detail: String) -> BlobError {
-        BlobError::NotReady {
-            location: self.location().to_owned(),
-            detail,
-        }
+        BlobError::NotReady { location: self.location().to_owned(), detail }
     }
 }
 
@@ -337,9 +320,7 @@ fn retries(patience: Duration) -> RetryConfig {
 
 fn timeouts() -> ClientOptions {
     // No limit for a whole request, which depends on the size of the blob.
-    ClientOptions::new()
-        .with_timeout_disabled()
-        .with_read_timeout(SILENCE)
+    ClientOptions::new().with_timeout_disabled().with_read_timeout(SILENCE)
 }
 
 /// Removes old `<name>#<number>` files, as `object_store` names files before renaming them.

@@ -34,9 +34,7 @@ fn directory() -> (TempDir, Blobs) {
 
 /// The path of a blob's object below `root`, a directory of blobs.
 fn object(root: &Path, blob: &Blob) -> PathBuf {
-    root.join("blobs")
-        .join(&blob.digest[..2])
-        .join(&blob.digest)
+    root.join("blobs").join(&blob.digest[..2]).join(&blob.digest)
 }
 
 fn set_age(file: &Path, age: Duration) {
@@ -62,9 +60,7 @@ fn age(file: &Path) -> Duration {
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).unwrap();
     let name = |entry: std::io::Result<fs::DirEntry>| entry.unwrap().file_name();
-    let mut names: Vec<String> = entries
-        .map(|entry| name(entry).into_string().unwrap())
-        .collect();
+    let mut names: Vec<String> = entries.map(|entry| name(entry).into_string().unwrap()).collect();
     names.sort();
     names
 }

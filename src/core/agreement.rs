@@ -44,10 +44,7 @@ impl Agreement {
 #[track_caller]
 pub fn assert_agrees(what: &str, found: &[f32], expected: &[f64], tolerance: f64) {
     let agreement = agreement(found, expected);
-    assert!(
-        agreement.within(tolerance),
-        "{what}: {agreement:?}, tolerance {tolerance:e}"
-    );
+    assert!(agreement.within(tolerance), "{what}: {agreement:?}, tolerance {tolerance:e}");
 }
 
 /// Panics unless the analytic derivative equals the central difference of `f` around `at`.
@@ -69,11 +66,8 @@ mod tests {
     fn equal_values_agree_and_every_kind_of_error_is_detected() {
         let expected: Vec<f64> = (0..1000).map(|i| (f64::from(i) * 0.37).sin()).collect();
         let with = |f: &dyn Fn(usize, f64) -> f64| -> bool {
-            let found: Vec<f32> = expected
-                .iter()
-                .enumerate()
-                .map(|(i, &e)| f(i, e) as f32)
-                .collect();
+            let found: Vec<f32> =
+                expected.iter().enumerate().map(|(i, &e)| f(i, e) as f32).collect();
             agreement(&found, &expected).within(1e-3)
         };
         assert!(with(&|_, e| e));
@@ -81,10 +75,7 @@ mod tests {
         assert!(!with(&|_, e| e + 2e-3), "offset");
         assert!(!with(&|_, e| -e), "sign");
         assert!(!with(&|i, e| if i == 500 { e + 0.2 } else { e }), "outlier");
-        assert!(
-            !with(&|i, e| if i == 3 { f64::NAN } else { e }),
-            "not a number"
-        );
+        assert!(!with(&|i, e| if i == 3 { f64::NAN } else { e }), "not a number");
     }
 
     #[test]

@@ -26,10 +26,7 @@ pub struct Intrinsics {
 impl Intrinsics {
     /// The same camera seen through an image resampled to `width` x `height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (
-            width as f64 / self.width as f64,
-            height as f64 / self.height as f64,
-        );
+        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
         Self {
             width,
             height,
@@ -109,10 +106,7 @@ impl Camera {
             return None;
         }
         let k = &self.intrinsics;
-        Some((
-            DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy),
-            p.z,
-        ))
+        Some((DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy), p.z))
     }
 
     /// Pixel and depth of a world point that lies within the picture.
@@ -124,10 +118,7 @@ impl Camera {
 
     /// The same pose with the image resampled to `width` x `height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        Self {
-            intrinsics: self.intrinsics.resized(width, height),
-            ..*self
-        }
+        Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
     }
 }
 
@@ -180,14 +171,7 @@ mod tests {
     use super::*;
 
     fn intrinsics() -> Intrinsics {
-        Intrinsics {
-            width: 200,
-            height: 100,
-            fx: 150.0,
-            fy: 150.0,
-            cx: 100.0,
-            cy: 50.0,
-        }
+        Intrinsics { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 100.0, cy: 50.0 }
     }
 
     #[test]
@@ -205,12 +189,8 @@ mod tests {
 
     #[test]
     fn a_named_camera_is_row_major_and_round_trips() {
-        let camera = Camera::look_at(
-            intrinsics(),
-            DVec3::new(1.0, 2.0, -5.0),
-            DVec3::ZERO,
-            DVec3::Y,
-        );
+        let camera =
+            Camera::look_at(intrinsics(), DVec3::new(1.0, 2.0, -5.0), DVec3::ZERO, DVec3::Y);
         let named = NamedCamera::new("a", &camera, Split::HeldOut);
         assert!((named.world_to_camera[0][3] - camera.translation().x).abs() < 1e-12);
         assert_eq!(named.camera(), camera);

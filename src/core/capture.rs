@@ -96,11 +96,7 @@ impl Capture {
         }
         Ok(Self {
             views: assessed.views,
-            photographs: layout
-                .photographs
-                .into_iter()
-                .map(|entry| entry.path)
-                .collect(),
+            photographs: layout.photographs.into_iter().map(|entry| entry.path).collect(),
             assessments: assessed.assessments,
             warnings: assessed.warnings,
             poses: layout.poses,

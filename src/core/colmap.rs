@@ -65,10 +65,7 @@ impl ColmapCli {
     /// With somebody else who finds key points and matches, before COLMAP's own.
     #[must_use]
     pub fn with_matching(self, matching: Arc<dyn Matching>) -> Self {
-        Self {
-            matching: Some(matching),
-            ..self
-        }
+        Self { matching: Some(matching), ..self }
     }
 
     /// COLMAP's version, as in `3.8`: what `fled doctor` shows.
@@ -77,10 +74,7 @@ impl ColmapCli {
     /// [`PosesError::Missing`] when there is no such program, [`PosesError::Tool`] when it is not
     /// COLMAP.
     pub fn version(&self) -> Result<String, PosesError> {
-        let limits = Limits {
-            wall: Duration::from_secs(30),
-            ..self.limits
-        };
+        let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
         let runner = process::Runner::new(&self.program, limits, None)?;
         version(&runner, &CancelToken::new())
     }
@@ -160,11 +154,7 @@ impl Sfm for ColmapCli {
                 "a scene needs at least {} photographs, preferably 20 to 60",
                 search::MIN_VIEWS
             );
-            return Err(PosesError::TooFew {
-                registered: 0,
-                total,
-                advice,
-            });
+            return Err(PosesError::TooFew { registered: 0, total, advice });
         }
         std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
         let runner = process::Runner::new(

@@ -137,20 +137,14 @@ impl GivenPoses {
     /// With somebody who finds points where the poses come without.
     #[must_use]
     pub fn triangulated_by(self, triangulate: Triangulate) -> Self {
-        Self {
-            triangulate: Some(triangulate),
-            ..self
-        }
+        Self { triangulate: Some(triangulate), ..self }
     }
 
     /// With somebody who refines poses of a `transforms.json`, which phones write as they walk; the
     /// other formats come out of a bundle adjustment.
     #[must_use]
     pub fn refined_by(self, refine: Refine) -> Self {
-        Self {
-            refine: Some(refine).filter(|_| self.format == Format::Transforms),
-            ..self
-        }
+        Self { refine: Some(refine).filter(|_| self.format == Format::Transforms), ..self }
     }
 
     /// Refined poses; `None` where the given ones are taken as they are.
@@ -169,15 +163,12 @@ impl GivenPoses {
             let given = views.iter().find(|given| given.name == view.name);
             given.map(|given| given.lens.intrinsics.fx)
         };
-        let known = request.views.iter().map(|view| PoseView {
-            focal_px: focal(view).or(view.focal_px),
-            ..view.clone()
-        });
+        let known = request
+            .views
+            .iter()
+            .map(|view| PoseView { focal_px: focal(view).or(view.focal_px), ..view.clone() });
         let known: Vec<PoseView> = known.collect();
-        let request = PoseRequest {
-            views: &known,
-            ..*request
-        };
+        let request = PoseRequest { views: &known, ..*request };
         match refine(&request, views, sink, cancel) {
             Err(PosesError::Cancelled(cancelled)) => Err(cancelled.into()),
             Err(error) => {
@@ -310,11 +301,7 @@ impl GivenPoses {
             self.label(),
             self.unlike_names().unwrap_or_default()
         );
-        PosesError::TooFew {
-            registered,
-            total,
-            advice,
-        }
+        PosesError::TooFew { registered, total, advice }
     }
 
     /// A name that the file has, and that of a photograph, which are not the same.
@@ -322,9 +309,7 @@ impl GivenPoses {
         let names = self.names().ok()?;
         let name = { names.iter() }.find(|name| !self.photographs.contains(name))?;
         let photograph = self.photographs.first()?;
-        Some(format!(
-            "; it has `{name}`, and a photograph is called `{photograph}`"
-        ))
+        Some(format!("; it has `{name}`, and a photograph is called `{photograph}`"))
     }
 
     /// The pose of each photograph of the capture, where it has one.
@@ -366,14 +351,11 @@ impl GivenPoses {
             ));
         }
         let order = by_bytes(&self.photographs);
-        if let Some(twice) = order
-            .windows(2)
-            .find(|pair| self.photographs[pair[0]] == self.photographs[pair[1]])
+        if let Some(twice) =
+            order.windows(2).find(|pair| self.photographs[pair[0]] == self.photographs[pair[1]])
         {
             let name = &self.photographs[twice[0]];
-            return refused(format!(
-                "two photographs are called `{name}`, which have no order"
-            ));
+            return refused(format!("two photographs are called `{name}`, which have no order"));
         }
         let mut assigned = vec![None; rows.len()];
         for (at, row) in order.into_iter().zip(rows) {
@@ -426,34 +408,21 @@ impl Sfm for GivenPoses {
         let assigned = self.assign(assignment)?;
         self.warn_of_order(sink);
         let all = self.photographs.iter().zip(&assigned);
-        let of_photograph: HashMap<&PhotoPath, &GivenView> = { all }
-            .filter_map(|(path, given)| Some((path, given.as_ref()?)))
-            .collect();
+        let of_photograph: HashMap<&PhotoPath, &GivenView> =
+            { all }.filter_map(|(path, given)| Some((path, given.as_ref()?))).collect();
         let total = request.views.len();
         let placed = Placed::of(request.views, &of_photograph, &mut given)?;
         self.warn(&given, &placed, sink);
-        let Placed {
-            views,
-            bounds,
-            held_out,
-            ..
-        } = placed;
+        let Placed { views, bounds, held_out, .. } = placed;
         let registered = views.len();
         if registered < 3 {
             return Err(self.too_few(registered, total, &given));
         }
         // Far from the origin COLMAP, too, loses its digits.
-        let near = Poses {
-            views: views.clone(),
-            ..Poses::default()
-        };
+        let near = Poses { views: views.clone(), ..Poses::default() };
         let near = near.normalised();
         if let Some(poses) = self.refined(request, &near.views, sink, cancel)? {
-            let poses = Poses {
-                normalisation: near.normalisation,
-                held_out,
-                ..poses
-            };
+            let poses = Poses { normalisation: near.normalisation, held_out, ..poses };
             return Ok(poses.in_world());
         }
         let points = match given.points.is_empty() {
@@ -480,11 +449,8 @@ impl Sfm for GivenPoses {
             Format::Transforms => "transforms.json",
             Format::PosesBounds => "poses_bounds.npy",
         };
-        let points = if self.triangulate.is_some() {
-            ", points triangulated where it has none"
-        } else {
-            ""
-        };
+        let points =
+            if self.triangulate.is_some() { ", points triangulated where it has none" } else { "" };
         let refined = match self.refine {
             Some(_) => ", refined where the matches say otherwise",
             None => "",

@@ -81,10 +81,9 @@ impl Restorer for Identity {
 fn same_size(blurry: &Image, guide: Option<&Image>) -> Result<(), DeblurError> {
     let size = |image: &Image| (image.width(), image.height());
     match guide {
-        Some(guide) if size(guide) != size(blurry) => Err(DeblurError::GuideSize {
-            blurry: size(blurry),
-            guide: size(guide),
-        }),
+        Some(guide) if size(guide) != size(blurry) => {
+            Err(DeblurError::GuideSize { blurry: size(blurry), guide: size(guide) })
+        }
         _ => Ok(()),
     }
 }
@@ -97,28 +96,16 @@ mod tests {
     fn identity_returns_the_view_and_ignores_the_guide() {
         let view = Image::from_planar(2, 1, vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
         assert_eq!(Identity.restore(&view, None).expect("no guide"), view);
-        assert_eq!(
-            Identity
-                .restore(&view, Some(&Image::new(2, 1)))
-                .expect("a guide"),
-            view
-        );
+        assert_eq!(Identity.restore(&view, Some(&Image::new(2, 1))).expect("a guide"), view);
         assert_eq!(Identity.describe().channels, 0);
     }
 
     #[test]
     fn a_guide_of_another_size_is_refused() {
-        let refused = Identity
-            .restore(&Image::new(4, 2), Some(&Image::new(2, 4)))
-            .expect_err("sizes differ");
+        let refused =
+            Identity.restore(&Image::new(4, 2), Some(&Image::new(2, 4))).expect_err("sizes differ");
         assert!(
-            matches!(
-                refused,
-                DeblurError::GuideSize {
-                    blurry: (4, 2),
-                    guide: (2, 4)
-                }
-            ),
+            matches!(refused, DeblurError::GuideSize { blurry: (4, 2), guide: (2, 4) }),
             "{refused}"
         );
     }

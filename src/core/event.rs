@@ -184,13 +184,7 @@ pub enum Event {
 impl Event {
     /// Progress of a stage before the rounds.
     pub fn advanced(stage: Stage, done: u64, total: u64) -> Self {
-        Self::StageAdvanced {
-            stage,
-            round: 0,
-            done,
-            total,
-            steps_per_second: None,
-        }
+        Self::StageAdvanced { stage, round: 0, done, total, steps_per_second: None }
     }
 }
 
@@ -200,10 +194,7 @@ pub trait ProgressSink {
 
     /// Sends an [`Event::Warning`].
     fn warn(&mut self, code: &str, message: String) {
-        self.event(&Event::Warning {
-            code: code.to_owned(),
-            message,
-        });
+        self.event(&Event::Warning { code: code.to_owned(), message });
     }
 
     /// Sends an [`Event::Log`].

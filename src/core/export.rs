@@ -79,11 +79,7 @@ impl Export {
                 let cameras = cameras(run, round)?;
                 let views = with_pictures(&cameras, pictures(run, round)?)?;
                 let (gaussians, _) = ply::read_extent(&scene)?;
-                Content::Colmap {
-                    views,
-                    scene,
-                    gaussians,
-                }
+                Content::Colmap { views, scene, gaussians }
             }
             Self::CompressedScene => {
                 let (gaussians, sh_degree) = ply::read_extent(&scene)?;
@@ -118,15 +114,8 @@ struct Picture {
 #[derive(Debug)]
 enum Content {
     Pictures(Vec<Picture>),
-    Colmap {
-        views: Vec<(NamedCamera, Picture)>,
-        scene: PathBuf,
-        gaussians: usize,
-    },
-    Scene {
-        scene: PathBuf,
-        bytes: u64,
-    },
+    Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
+    Scene { scene: PathBuf, bytes: u64 },
 }
 
 /// An export that is there to be written.
@@ -138,9 +127,7 @@ impl Prepared {
     pub fn bytes(&self) -> u64 {
         match &self.0 {
             Content::Pictures(pictures) => pictures.iter().map(|picture| picture.bytes).sum(),
-            Content::Colmap {
-                views, gaussians, ..
-            } => {
+            Content::Colmap { views, gaussians, .. } => {
                 let pictures: u64 = views.iter().map(|(_, picture)| picture.bytes).sum();
                 pictures + ROW * (views.len() + gaussians) as u64
             }
@@ -198,9 +185,7 @@ impl<W: Write> Archive<W> {
         // do not see the end.
         let options = SimpleFileOptions::default().compression_level(Some(LEVEL));
         let begun = self.0.start_file(name, options).map_err(io::Error::from);
-        begun
-            .and_then(|()| io::copy(content, &mut self.0))
-            .map_err(ExportError::Write)?;
+        begun.and_then(|()| io::copy(content, &mut self.0)).map_err(ExportError::Write)?;
         Ok(())
     }
 
@@ -232,11 +217,7 @@ fn pictures(run: &RunFolder, round: Option<u32>) -> Result<Vec<Picture>, ExportE
         };
         // Names of files that are being written begin with a dot.
         if about.is_file() && !file_name.starts_with('.') {
-            pictures.push(Picture {
-                path,
-                file_name,
-                bytes: about.len(),
-            });
+            pictures.push(Picture { path, file_name, bytes: about.len() });
         }
     }
     pictures.sort_by(|a, b| a.file_name.cmp(&b.file_name));
@@ -277,12 +258,7 @@ fn with_pictures(
 }
 
 /// The middles of what is rather opaque than not, with its base colour.
-fn points(
-    Scene {
-        gaussians: scene,
-        normalisation,
-    }: &Scene,
-) -> Vec<([f64; 3], [u8; 3])> {
+fn points(Scene { gaussians: scene, normalisation }: &Scene) -> Vec<([f64; 3], [u8; 3])> {
     let row = 3 * scene.coefficients();
     let is_solid = |&index: &usize| scene.is_usable(index) && scene.opacity_logits[index] > 0.0;
     let point = |index: usize| {

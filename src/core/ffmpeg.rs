@@ -17,9 +17,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 /// arguments before, where it is one that starts ffmpeg.
 pub(crate) fn command(program: impl AsRef<OsStr>, first: &[OsString]) -> Command {
     let mut command = Command::new(program);
-    command
-        .args(first)
-        .args(["-nostdin", "-hide_banner", "-loglevel", "error", "-xerror"]);
+    command.args(first).args(["-nostdin", "-hide_banner", "-loglevel", "error", "-xerror"]);
     command
 }
 

@@ -50,11 +50,7 @@ impl Gaussians {
                 std::array::from_fn(|c| 0.5 + Y00 * sh[c]).map(|v: f32| v.clamp(0.0, 1.0));
             let (mapped, slope) = (colour(base), slope(base));
             for (i, value) in sh.iter_mut().enumerate() {
-                *value = if i < 3 {
-                    (mapped[i] - 0.5) / Y00
-                } else {
-                    *value * slope[i % 3]
-                };
+                *value = if i < 3 { (mapped[i] - 0.5) / Y00 } else { *value * slope[i % 3] };
             }
         }
     }
@@ -64,11 +60,7 @@ impl Gaussians {
     #[must_use]
     pub fn coloured(&self, colour: impl Fn(usize) -> [f32; 3]) -> Self {
         let colours = (0..self.len()).flat_map(|i| colour(i).map(|value| (value - 0.5) / Y00));
-        Self {
-            sh: colours.collect(),
-            sh_degree: 0,
-            ..self.clone()
-        }
+        Self { sh: colours.collect(), sh_degree: 0, ..self.clone() }
     }
 
     /// Coefficients per colour channel: (degree + 1)^2.
@@ -80,13 +72,8 @@ impl Gaussians {
     pub fn is_usable(&self, index: usize) -> bool {
         let row = 3 * self.coefficients();
         let quat = self.quats[index];
-        let head = self.means[index]
-            .iter()
-            .chain(&self.log_scales[index])
-            .chain(&quat);
-        let finite = head
-            .chain([&self.opacity_logits[index]])
-            .all(|v| v.is_finite());
+        let head = self.means[index].iter().chain(&self.log_scales[index]).chain(&quat);
+        let finite = head.chain([&self.opacity_logits[index]]).all(|v| v.is_finite());
         let sh = &self.sh[index * row..(index + 1) * row];
         finite
             && sh.iter().all(|v| v.is_finite())
@@ -101,11 +88,7 @@ impl Gaussians {
             quats: indices.iter().map(|&i| self.quats[i]).collect(),
             log_scales: indices.iter().map(|&i| self.log_scales[i]).collect(),
             opacity_logits: indices.iter().map(|&i| self.opacity_logits[i]).collect(),
-            sh: indices
-                .iter()
-                .flat_map(|&i| &self.sh[i * row..(i + 1) * row])
-                .copied()
-                .collect(),
+            sh: indices.iter().flat_map(|&i| &self.sh[i * row..(i + 1) * row]).copied().collect(),
             sh_degree: self.sh_degree,
         }
     }
@@ -123,16 +106,8 @@ impl Gaussians {
         let mean = |mean: &[f32; 3]| DVec3::from(mean.map(f64::from)) * scale + shift;
         let log_scale = |axis: f32| (f64::from(axis) + scale.ln()) as f32;
         Self {
-            means: self
-                .means
-                .iter()
-                .map(|at| mean(at).as_vec3().to_array())
-                .collect(),
-            log_scales: self
-                .log_scales
-                .iter()
-                .map(|axes| axes.map(log_scale))
-                .collect(),
+            means: self.means.iter().map(|at| mean(at).as_vec3().to_array()).collect(),
+            log_scales: self.log_scales.iter().map(|axes| axes.map(log_scale)).collect(),
             ..self.clone()
         }
     }
@@ -140,20 +115,13 @@ impl Gaussians {
     /// The same Gaussians with harmonics of `degree`: cut off, or filled up with zeros.
     #[must_use]
     pub fn with_sh_degree(&self, degree: u32) -> Self {
-        let (from, to) = (
-            3 * self.coefficients(),
-            3 * ((degree + 1) * (degree + 1)) as usize,
-        );
+        let (from, to) = (3 * self.coefficients(), 3 * ((degree + 1) * (degree + 1)) as usize);
         let mut sh = vec![0.0; self.len() * to];
         for (source, target) in self.sh.chunks_exact(from).zip(sh.chunks_exact_mut(to)) {
             let shared = from.min(to);
             target[..shared].copy_from_slice(&source[..shared]);
         }
-        Self {
-            sh,
-            sh_degree: degree,
-            ..self.clone()
-        }
+        Self { sh, sh_degree: degree, ..self.clone() }
     }
 }
 

@@ -41,12 +41,7 @@ pub struct Image<E = Srgb> {
 impl<E> Image<E> {
     /// A black image.
     pub fn new(width: usize, height: usize) -> Self {
-        Self {
-            width,
-            height,
-            data: vec![0.0; 3 * width * height],
-            encoding: PhantomData,
-        }
+        Self { width, height, data: vec![0.0; 3 * width * height], encoding: PhantomData }
     }
 
     /// From planar values, [3, height, width].
@@ -54,17 +49,8 @@ impl<E> Image<E> {
     /// # Panics
     /// When the length is not `3 * width * height`: a fault of the caller.
     pub fn from_planar(width: usize, height: usize, data: Vec<f32>) -> Self {
-        assert_eq!(
-            data.len(),
-            3 * width * height,
-            "planar data of {width}x{height}"
-        );
-        Self {
-            width,
-            height,
-            data,
-            encoding: PhantomData,
-        }
+        assert_eq!(data.len(), 3 * width * height, "planar data of {width}x{height}");
+        Self { width, height, data, encoding: PhantomData }
     }
 
     /// Width in px.
@@ -120,11 +106,7 @@ impl<E> Image<E> {
 
     /// Every value mapped.
     pub fn map(&self, f: impl Fn(f32) -> f32) -> Self {
-        Self::from_planar(
-            self.width,
-            self.height,
-            self.data.iter().map(|&v| f(v)).collect(),
-        )
+        Self::from_planar(self.width, self.height, self.data.iter().map(|&v| f(v)).collect())
     }
 
     /// Rec. 709 luma of the values as they are encoded, [height, width].

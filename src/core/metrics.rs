@@ -25,9 +25,6 @@ pub use ssim::{ssim, ssim_where};
 use crate::image::Image;
 
 fn assert_same_size(image: &Image, reference: &Image) {
-    let (a, b) = (
-        (image.width(), image.height()),
-        (reference.width(), reference.height()),
-    );
+    let (a, b) = ((image.width(), image.height()), (reference.width(), reference.height()));
     assert_eq!(a, b, "image and reference: sizes differ");
 }

@@ -111,11 +111,7 @@ impl NoiseField {
         let chunk_pixels = most_pixels.min(CHUNK);
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
         let exchanges = on_cpu && gpu.describe().subgroup == Some((LANES as u32, LANES as u32));
-        let segments = if on_cpu {
-            SEGMENTS_ON_CPU
-        } else {
-            SEGMENTS_ON_GPU
-        };
+        let segments = if on_cpu { SEGMENTS_ON_CPU } else { SEGMENTS_ON_GPU };
         let buffers = Buffers::new(gpu, &network, most_pixels, chunk_pixels, segments)?;
         let initial = network.initial(seed);
         buffers.parameters.write(bytemuck::cast_slice(&initial))?;
@@ -199,22 +195,10 @@ impl NoiseField {
         let b = &self.buffers;
         let parameters = self.network.parameters();
         let rate = RATE * DECAY.powi((self.step.saturating_sub(1) / DECAY_STEPS) as i32);
-        b.adam.write(&[AdamUniform::new(
-            rate,
-            self.step,
-            self.segments,
-            parameters,
-            limit,
-        )])?;
+        b.adam.write(&[AdamUniform::new(rate, self.step, self.segments, parameters, limit)])?;
         recorder.dispatch_items(
             &kernels::ADAM,
-            &[
-                &b.adam,
-                limit.counters,
-                &b.gradients,
-                &b.parameters,
-                &b.moments,
-            ],
+            &[&b.adam, limit.counters, &b.gradients, &b.parameters, &b.moments],
             parameters,
         )
     }
@@ -295,14 +279,8 @@ impl NoiseField {
             if layer == 0 {
                 continue;
             }
-            let back: [&dyn fled_gpu::Bind; 6] = [
-                uniform,
-                chunk,
-                delta,
-                &b.parameters,
-                input,
-                &b.deltas[layer - 1],
-            ];
+            let back: [&dyn fled_gpu::Bind; 6] =
+                [uniform, chunk, delta, &b.parameters, input, &b.deltas[layer - 1]];
             if self.exchanges {
                 let groups = count.div_ceil(16) * shape.inputs4.div_ceil(LANES);
                 recorder.dispatch_groups(&kernels::LAYER_BACKWARD_SUBGROUP, &back, groups)?;

@@ -136,24 +136,15 @@ impl Poses {
     pub fn within(self, normalisation: Normalisation) -> Self {
         let camera = |camera: &Camera| normalisation.within(camera);
         let moved = self.moved(camera, |point| normalisation.point_within(point));
-        Self {
-            normalisation,
-            ..moved
-        }
+        Self { normalisation, ..moved }
     }
 
     /// In the world that they were found or given in.
     #[must_use]
     pub fn in_world(self) -> Self {
         let by = self.normalisation;
-        let moved = self.moved(
-            |camera| by.in_world(camera),
-            |point| by.point_in_world(point),
-        );
-        Self {
-            normalisation: Normalisation::default(),
-            ..moved
-        }
+        let moved = self.moved(|camera| by.in_world(camera), |point| by.point_in_world(point));
+        Self { normalisation: Normalisation::default(), ..moved }
     }
 
     fn moved(mut self, camera: impl Fn(&Camera) -> Camera, point: impl Fn(DVec3) -> DVec3) -> Self {
@@ -326,10 +317,8 @@ pub enum PosesError {
 
 /// The parts of a capture that nothing connects, for a sentence.
 pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
-    let names: Vec<String> = parts
-        .iter()
-        .map(|part| format!("{} ({})", part.len(), part.join(", ")))
-        .collect();
+    let names: Vec<String> =
+        parts.iter().map(|part| format!("{} ({})", part.len(), part.join(", "))).collect();
     format!(
         "{} places that no matches connect, with {} photographs",
         parts.len(),
@@ -364,9 +353,6 @@ impl PosesError {
 
     /// A [`PosesError::BadFile`].
     pub fn bad_file(file: &Path, reason: impl Into<String>) -> Self {
-        Self::BadFile {
-            file: file.to_owned(),
-            reason: reason.into(),
-        }
+        Self::BadFile { file: file.to_owned(), reason: reason.into() }
     }
 }

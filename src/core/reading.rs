@@ -22,11 +22,7 @@ pub struct Fault {
 /// # Errors
 /// [`Fault`] at the first place that does not fit the type.
 pub fn read<T: DeserializeOwned>(value: Value) -> Result<T, Fault> {
-    T::deserialize(Given {
-        value,
-        key: None,
-        is_text: false,
-    })
+    T::deserialize(Given { value, key: None, is_text: false })
 }
 
 /// Reads the pairs of a query, whose numbers are texts.
@@ -42,11 +38,7 @@ pub fn read_pairs<T: DeserializeOwned>(pairs: Vec<(String, String)>) -> Result<T
             return Err(Fault { pointer, words });
         }
     }
-    T::deserialize(Given {
-        value: Value::Object(fields),
-        key: None,
-        is_text: true,
-    })
+    T::deserialize(Given { value: Value::Object(fields), key: None, is_text: true })
 }
 
 /// A JSON pointer to what `rest` points to below `key`.
@@ -62,10 +54,7 @@ impl Fault {
     }
 
     fn of(words: impl Display) -> Self {
-        Self {
-            pointer: String::new(),
-            words: words.to_string(),
-        }
+        Self { pointer: String::new(), words: words.to_string() }
     }
 }
 
@@ -102,17 +91,11 @@ impl de::Error for Fault {
     }
 
     fn unknown_field(field: &str, known: &'static [&'static str]) -> Self {
-        Self {
-            pointer: below(field, ""),
-            words: format!("is unknown; use {}", one_of(known)),
-        }
+        Self { pointer: below(field, ""), words: format!("is unknown; use {}", one_of(known)) }
     }
 
     fn missing_field(field: &'static str) -> Self {
-        Self {
-            pointer: below(field, ""),
-            words: "is missing".to_owned(),
-        }
+        Self { pointer: below(field, ""), words: "is missing".to_owned() }
     }
 }
 
@@ -139,11 +122,7 @@ impl Given {
         wanted: impl Display,
     ) -> Result<V::Value, Fault> {
         let is_text = self.is_text;
-        let within = |key, value| Self {
-            value,
-            key: Some(key),
-            is_text,
-        };
+        let within = |key, value| Self { value, key: Some(key), is_text };
         let outcome = match self.value {
             Value::Null => visitor.visit_unit(),
             Value::Bool(value) => visitor.visit_bool(value),
@@ -349,16 +328,8 @@ mod tests {
     #[test]
     fn what_fits_is_read() {
         let camera = json!({ "name": "a", "lenses": [{ "focal": 2, "kind": "far" }] });
-        let lens = Lens {
-            focal: 2.0,
-            kind: Some(Kind::Far),
-        };
-        let wanted = Camera {
-            name: "a".to_owned(),
-            count: 0,
-            lenses: Some(vec![lens]),
-            row: None,
-        };
+        let lens = Lens { focal: 2.0, kind: Some(Kind::Far) };
+        let wanted = Camera { name: "a".to_owned(), count: 0, lenses: Some(vec![lens]), row: None };
         assert_eq!(read(camera), Ok(wanted));
     }
 
@@ -370,38 +341,17 @@ mod tests {
             (json!(["a", 1, null, null]), "it must be an object"),
             (json!({}), "`name` is missing"),
             (json!({ "name": 1 }), "`name` must be a string"),
-            (
-                json!({ "name": "a", "count": -1 }),
-                "`count` must be a whole number from 0 to 255",
-            ),
-            (
-                json!({ "name": "a", "count": 1.5 }),
-                "`count` must be a whole number from 0 to 255",
-            ),
+            (json!({ "name": "a", "count": -1 }), "`count` must be a whole number from 0 to 255"),
+            (json!({ "name": "a", "count": 1.5 }), "`count` must be a whole number from 0 to 255"),
             (
                 json!({ "name": "a", "a/b": 1 }),
                 "`a~1b` is unknown; use one of `name`, `count`, `lenses`, `row`",
             ),
-            (
-                json!({ "name": "a", "lenses": 1 }),
-                "`lenses` must be an array",
-            ),
-            (
-                json!({ "name": "a", "row": [1] }),
-                "`row` must be an array of 2",
-            ),
-            (
-                json!({ "name": "a", "row": [1, 2, 3] }),
-                "`row` must be an array of 2",
-            ),
-            (
-                json!({ "name": "a", "row": [1, "2"] }),
-                "`row/1` must be a number",
-            ),
-            (
-                lens(json!({ "focal": "wide" })),
-                "`lenses/1/focal` must be a number",
-            ),
+            (json!({ "name": "a", "lenses": 1 }), "`lenses` must be an array"),
+            (json!({ "name": "a", "row": [1] }), "`row` must be an array of 2"),
+            (json!({ "name": "a", "row": [1, 2, 3] }), "`row` must be an array of 2"),
+            (json!({ "name": "a", "row": [1, "2"] }), "`row/1` must be a number"),
+            (lens(json!({ "focal": "wide" })), "`lenses/1/focal` must be a number"),
             (lens(json!({})), "`lenses/1/focal` is missing"),
             (
                 lens(json!({ "focal": 1, "kind": "wide" })),
@@ -426,21 +376,12 @@ mod tests {
         let lens = read_pairs::<Lens>(pairs(&[("focal", "-2e1"), ("kind", "near")]));
         assert_eq!(lens.expect("read").focal, -20.0);
         let camera = read_pairs::<Camera>(pairs(&[("name", "7"), ("count", "7")]));
-        assert_eq!(
-            camera.map(|camera| (camera.name, camera.count)),
-            Ok(("7".to_owned(), 7))
-        );
+        assert_eq!(camera.map(|camera| (camera.name, camera.count)), Ok(("7".to_owned(), 7)));
         for (wrong, told) in [
             (&[("focal", "NaN")][..], "`focal` must be a number"),
             (&[("focal", "")], "`focal` must be a number"),
-            (
-                &[("focal", "1"), ("focal", "1")],
-                "`focal` must not appear twice",
-            ),
-            (
-                &[("fokal", "1")],
-                "`fokal` is unknown; use one of `focal`, `kind`",
-            ),
+            (&[("focal", "1"), ("focal", "1")], "`focal` must not appear twice"),
+            (&[("fokal", "1")], "`fokal` is unknown; use one of `focal`, `kind`"),
         ] {
             let fault = read_pairs::<Lens>(pairs(wrong)).expect_err(told);
             assert_eq!(fault.to_string(), told);

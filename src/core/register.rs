@@ -37,18 +37,13 @@ impl Motion {
         let [a, b, c, x, y, z] = self.twist.map(f64::from);
         let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
         let motion = DMat4::from_rotation_translation(turn, DVec3::new(x, y, z));
-        Camera {
-            world_to_camera: motion * camera.world_to_camera,
-            ..*camera
-        }
+        Camera { world_to_camera: motion * camera.world_to_camera, ..*camera }
     }
 
     /// The sum of this motion and a further small one; motions are small enough to add.
     #[must_use]
     pub fn plus(&self, by: &[f64; 6]) -> Self {
-        Self {
-            twist: std::array::from_fn(|i| self.twist[i] + by[i] as f32),
-        }
+        Self { twist: std::array::from_fn(|i| self.twist[i] + by[i] as f32) }
     }
 }
 
@@ -85,11 +80,7 @@ pub fn correction(
             for at in from + BORDER..from + width - BORDER {
                 let now = render.data()[at];
                 let missing = photograph.data()[at] - now;
-                let weight = if missing.abs() <= bend {
-                    1.0
-                } else {
-                    bend / missing.abs()
-                };
+                let weight = if missing.abs() <= bend { 1.0 } else { bend / missing.abs() };
                 let by: [f32; 6] = std::array::from_fn(|i| probed[i].data()[at] - now);
                 for i in 0..6 {
                     row_slope[i] += weight * by[i] * missing;
@@ -109,15 +100,10 @@ pub fn correction(
     let mean = (0..6).map(|i| curvature[i][i]).sum::<f64>() / 6.0;
     (0..6).for_each(|i| curvature[i][i] += DAMPING * mean);
     let shares = solve(curvature, slope)?;
-    let longest = shares
-        .iter()
-        .fold(0.0_f64, |most, share| most.max(share.abs()))
-        * PROBE_PX;
+    let longest = shares.iter().fold(0.0_f64, |most, share| most.max(share.abs())) * PROBE_PX;
     let kept = (LARGEST_PX / longest.max(1e-12)).min(1.0);
     Some(std::array::from_fn(|i| {
-        kept * (0..6)
-            .map(|axis| shares[axis] * probes[axis][i])
-            .sum::<f64>()
+        kept * (0..6).map(|axis| shares[axis] * probes[axis][i]).sum::<f64>()
     }))
 }
 
@@ -156,10 +142,7 @@ fn differences(photograph: &Image, render: &Image, nth: usize) -> Vec<f32> {
 /// the given poses.
 pub fn hold_gauge(cameras: &[Camera], motions: &mut [Motion]) {
     let centre = cameras.iter().map(Camera::centre).sum::<DVec3>() / cameras.len().max(1) as f64;
-    let radius = cameras
-        .iter()
-        .map(|c| c.centre().distance(centre))
-        .fold(0.0, f64::max);
+    let radius = cameras.iter().map(|c| c.centre().distance(centre)).fold(0.0, f64::max);
     if radius <= 0.0 {
         return;
     }
@@ -209,10 +192,7 @@ fn add_row(lower: &mut [[f64; 7]; 7], right: &mut [f64; 7], row: [f64; 7], value
 fn world_motion(before: &Camera, after: &Camera) -> (DVec3, DVec3) {
     // Axes of the camera as columns; the rotation from the old to the new ones.
     let turn: DMat3 = after.rotation().transpose() * before.rotation();
-    (
-        DQuat::from_mat3(&turn).to_scaled_axis(),
-        after.centre() - before.centre(),
-    )
+    (DQuat::from_mat3(&turn).to_scaled_axis(), after.centre() - before.centre())
 }
 
 /// The twist of a small motion given in the world: the inverse of [`world_motion`], to first order.

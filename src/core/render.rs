@@ -54,9 +54,7 @@ impl UploadedGaussians {
     /// A device error.
     pub fn counts(&self) -> Result<Option<SplatCounts>, SplatError> {
         let drawing = self.drawing();
-        let counts = drawing
-            .as_ref()
-            .map(|drawing| drawing.pass.buffers().counts()?.wait());
+        let counts = drawing.as_ref().map(|drawing| drawing.pass.buffers().counts()?.wait());
         Ok(counts.transpose()?)
     }
 
@@ -172,9 +170,7 @@ mod tests {
         let gaussians = fixtures::gaussians(300, 2, 21);
         let mut view = fixtures::viewpoint(70, 45);
         (view.sh_degree, view.near) = (2, f64::from(NEAR));
-        let splats: Vec<_> = (0..300)
-            .map(|i| Splat::from_gaussians(&gaussians, i))
-            .collect();
+        let splats: Vec<_> = (0..300).map(|i| Splat::from_gaussians(&gaussians, i)).collect();
         let (_, expected) = reference::render(&splats, &view);
         let renderer = Renderer::new(fixtures::gpu());
         let image = renderer.render(&gaussians, &view.camera, 2).unwrap();
@@ -195,9 +191,7 @@ mod tests {
         // 200 splats over 1,200 tiles: far more than the initial guess.
         let large = fixtures::viewpoint(640, 480).camera;
         let first = renderer.render_scene(&scene, &large).unwrap();
-        let small = renderer
-            .render_scene(&scene, &fixtures::viewpoint(64, 48).camera)
-            .unwrap();
+        let small = renderer.render_scene(&scene, &fixtures::viewpoint(64, 48).camera).unwrap();
         assert_eq!((small.width(), small.height()), (64, 48));
         assert!(renderer.render_scene(&scene, &large).unwrap() == first);
         assert!(renderer.render(&gaussians, &large, 0).unwrap() == first);
@@ -209,12 +203,6 @@ mod tests {
         let renderer = Renderer::new(fixtures::gpu());
         let camera = fixtures::viewpoint(0, 48).camera;
         let result = renderer.render(&fixtures::gaussians(3, 0, 1), &camera, 0);
-        assert!(matches!(
-            result,
-            Err(SplatError::EmptyImage {
-                width: 0,
-                height: 48
-            })
-        ));
+        assert!(matches!(result, Err(SplatError::EmptyImage { width: 0, height: 48 })));
     }
 }

@@ -118,16 +118,12 @@ impl RunFolder {
 
     /// What a round leaves; rounds are 1-based.
     pub fn round(&self, round: u32) -> RoundFolder {
-        RoundFolder {
-            root: self.root.join("rounds").join(round.to_string()),
-        }
+        RoundFolder { root: self.root.join("rounds").join(round.to_string()) }
     }
 
     /// What only a resumed run reads.
     pub fn work(&self) -> WorkFolder {
-        WorkFolder {
-            root: self.root.join(WORK),
-        }
+        WorkFolder { root: self.root.join(WORK) }
     }
 
     /// Whether a file of this name, relative to the folder and with `/`, is part of the result: it
@@ -288,10 +284,7 @@ impl WorkFolder {
 
     /// A view's kept image, planar `f32`.
     pub fn kept(&self, images: KeptImages, round: u32, view: &str) -> PathBuf {
-        self.root
-            .join(images.name())
-            .join(round.to_string())
-            .join(format!("{view}.f32"))
+        self.root.join(images.name()).join(round.to_string()).join(format!("{view}.f32"))
     }
 
     /// What goes when a run has ended well: the large files and folders among these.
@@ -331,27 +324,15 @@ mod tests {
             (round.cameras(), "out/rounds/2/cameras.json"),
             (round.late_views(), "out/rounds/2/late_views.json"),
             (round.training(), "out/rounds/2/training.json"),
-            (
-                round.picture(RoundPictures::Enhanced, "a"),
-                "out/rounds/2/enhanced/a.jpg",
-            ),
-            (
-                round.picture(RoundPictures::Deblurred, "a"),
-                "out/rounds/2/deblurred/a.jpg",
-            ),
-            (
-                round.picture(RoundPictures::Renders, "a"),
-                "out/rounds/2/renders/a.jpg",
-            ),
+            (round.picture(RoundPictures::Enhanced, "a"), "out/rounds/2/enhanced/a.jpg"),
+            (round.picture(RoundPictures::Deblurred, "a"), "out/rounds/2/deblurred/a.jpg"),
+            (round.picture(RoundPictures::Renders, "a"), "out/rounds/2/renders/a.jpg"),
             (work.stamp("poses"), "out/work/stamps/poses.json"),
             (work.found_poses(), "out/work/poses/found.json"),
             (work.late_views(), "out/work/late_views"),
             (work.checkpoint(), "out/work/training.checkpoint"),
             (work.live_picture(), "out/work/training.jpg"),
-            (
-                work.kept(KeptImages::Deblurred, 1, "a"),
-                "out/work/deblurred/1/a.f32",
-            ),
+            (work.kept(KeptImages::Deblurred, 1, "a"), "out/work/deblurred/1/a.f32"),
         ];
         for (path, expected) in paths {
             assert_eq!(path, Path::new(expected));

@@ -56,12 +56,7 @@ pub struct ShakeKernel {
 impl ShakeKernel {
     /// No shake.
     pub fn still() -> Self {
-        Self {
-            taps: vec![Tap {
-                offset: [0, 0],
-                weight: 1.0,
-            }],
-        }
+        Self { taps: vec![Tap { offset: [0, 0], weight: 1.0 }] }
     }
 
     /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] without any.
@@ -85,10 +80,7 @@ impl ShakeKernel {
     /// Mean offset of the light, px.
     pub fn centroid(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
-            self.taps
-                .iter()
-                .map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis]))
-                .sum()
+            self.taps.iter().map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis])).sum()
         })
     }
 
@@ -96,15 +88,9 @@ impl ShakeKernel {
     pub fn spread(&self) -> f64 {
         let centre = self.centroid();
         let squared = |tap: &Tap| {
-            (0..2)
-                .map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2))
-                .sum::<f64>()
+            (0..2).map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2)).sum::<f64>()
         };
-        self.taps
-            .iter()
-            .map(|tap| f64::from(tap.weight) * squared(tap))
-            .sum::<f64>()
-            .sqrt()
+        self.taps.iter().map(|tap| f64::from(tap.weight) * squared(tap)).sum::<f64>().sqrt()
     }
 
     /// The square root of the difference of the light's variances along and across the kernel, px.
@@ -140,10 +126,7 @@ impl ShakeKernel {
             }
         }
         let taps = taps.into_iter();
-        Self::new(
-            taps.map(|(offset, weight)| Tap { offset, weight })
-                .collect(),
-        )
+        Self::new(taps.map(|(offset, weight)| Tap { offset, weight }).collect())
     }
 
     fn rows(&self) -> Vec<[f32; 4]> {
@@ -269,14 +252,7 @@ impl Shake {
         )?;
         recorder.dispatch_items(
             &kernels::BLUR,
-            &[
-                &view.uniform,
-                &view.taps,
-                &self.knots,
-                &self.light,
-                &self.blurred,
-                &self.factor,
-            ],
+            &[&view.uniform, &view.taps, &self.knots, &self.light, &self.blurred, &self.factor],
             view.pixels,
         )
     }
@@ -301,14 +277,7 @@ impl Shake {
         )?;
         recorder.dispatch_items(
             &kernels::BLUR_BACKWARD,
-            &[
-                &view.uniform,
-                &view.taps,
-                &self.knots,
-                &self.factor,
-                render,
-                &self.render_gradient,
-            ],
+            &[&view.uniform, &view.taps, &self.knots, &self.factor, render, &self.render_gradient],
             view.pixels,
         )
     }

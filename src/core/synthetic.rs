@@ -126,16 +126,10 @@ impl SynthOptions {
             return fault(format!("views: {} is not in 1..=1000", self.views));
         }
         if !(32..=8192).contains(&self.width) || !(32..=8192).contains(&self.height) {
-            return fault(format!(
-                "size: {}x{} is not in 32..=8192",
-                self.width, self.height
-            ));
+            return fault(format!("size: {}x{} is not in 32..=8192", self.width, self.height));
         }
         if !(self.exposure > 0.0 && self.exposure <= 1.0) {
-            return fault(format!(
-                "exposure: {} is not above 0 and at most 1",
-                self.exposure
-            ));
+            return fault(format!("exposure: {} is not above 0 and at most 1", self.exposure));
         }
         if !(0.0..=200.0).contains(&self.blur) {
             return fault(format!("blur: {} px is not in 0..=200", self.blur));
@@ -168,12 +162,8 @@ impl SynthOptions {
 /// [`SynthError`].
 pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, SynthError> {
     options.check()?;
-    let wallpapers = options
-        .wallpapers
-        .as_deref()
-        .map(load_wallpapers)
-        .transpose()?
-        .unwrap_or_default();
+    let wallpapers =
+        options.wallpapers.as_deref().map(load_wallpapers).transpose()?.unwrap_or_default();
     for folder in ["images", options.layout.truths()] {
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
@@ -185,19 +175,12 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         .enumerate()
         .map(|(index, camera)| (format!("{index:03}"), *camera))
         .collect();
-    named
-        .par_iter()
-        .enumerate()
-        .try_for_each(|(index, (name, camera))| {
-            write_view(options, &room, out, (index, name, camera))
-        })?;
+    named.par_iter().enumerate().try_for_each(|(index, (name, camera))| {
+        write_view(options, &room, out, (index, name, camera))
+    })?;
     let bounded = |camera: &Camera| {
         let (near, far) = room.depth_range(camera);
-        BoundedCamera {
-            camera: *camera,
-            near,
-            far,
-        }
+        BoundedCamera { camera: *camera, near, far }
     };
     let rows: Vec<BoundedCamera> = cameras.iter().map(bounded).collect();
     let names: Vec<String> = named.iter().map(|(name, _)| name.clone()).collect();
@@ -211,15 +194,10 @@ const LARGEST_WALLPAPER: usize = 2048;
 
 /// Loads the photographs of a folder, in the order of their names.
 fn load_wallpapers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
-    let failed = |source| SynthError::Io {
-        path: folder.to_owned(),
-        source,
-    };
+    let failed = |source| SynthError::Io { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
-    let mut paths: Vec<PathBuf> = entries
-        .map(|entry| Ok(entry?.path()))
-        .collect::<std::io::Result<_>>()
-        .map_err(failed)?;
+    let mut paths: Vec<PathBuf> =
+        entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>().map_err(failed)?;
     paths.sort();
     if paths.is_empty() {
         return Err(SynthError::Options(format!(
@@ -240,19 +218,9 @@ fn write_view(
     out: &Path,
     (index, name, camera): (usize, &str, &Camera),
 ) -> Result<(), SynthError> {
-    let mut rng = Pcg64Mcg::seed_from_u64(
-        options
-            .seed
-            .wrapping_mul(1_000_003)
-            .wrapping_add(index as u64),
-    );
-    let shake = path::shake(
-        camera,
-        room.focus_distance(camera),
-        options.blur,
-        SUBFRAMES,
-        &mut rng,
-    );
+    let mut rng =
+        Pcg64Mcg::seed_from_u64(options.seed.wrapping_mul(1_000_003).wrapping_add(index as u64));
+    let shake = path::shake(camera, room.focus_distance(camera), options.blur, SUBFRAMES, &mut rng);
     let mut light = Image::<Linear>::new(options.width, options.height);
     for (moment, offset) in shake.iter().zip(spread_offsets(shake.len())) {
         let frame = room.render_at(moment, &[offset]);

@@ -22,21 +22,17 @@ pub struct Args {
 /// [`Failure`] when something cannot be read or written; the copy is then incomplete.
 pub fn main(args: &Args) -> Result<(), Failure> {
     if !args.data.join("fled.db").is_file() {
-        let detail = format!(
-            "{} has no fled.db, so it is not a data directory",
-            args.data.display()
-        );
+        let detail =
+            format!("{} has no fled.db, so it is not a data directory", args.data.display());
         return Err(Failure::usage(detail));
     }
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
-    let done = runtime
-        .block_on(fled_server::backup(&args.data, &args.to))
-        .map_err(|error| {
-            let mut failure = Failure::new(ErrorKind::Io, error);
-            failure.hint = format!("Remove {} and try again.", args.to.display());
-            failure
-        })?;
+    let done = runtime.block_on(fled_server::backup(&args.data, &args.to)).map_err(|error| {
+        let mut failure = Failure::new(ErrorKind::Io, error);
+        failure.hint = format!("Remove {} and try again.", args.to.display());
+        failure
+    })?;
     eprintln!(
         "{} captures and {} jobs, {:.1} MB, copied to {}",
         done.captures,

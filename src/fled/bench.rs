@@ -57,11 +57,7 @@ pub struct Args {
 
 impl Args {
     fn options(&self) -> Result<BenchOptions, Failure> {
-        let mut options = if self.quick {
-            BenchOptions::quick()
-        } else {
-            BenchOptions::default()
-        };
+        let mut options = if self.quick { BenchOptions::quick() } else { BenchOptions::default() };
         if !self.sizes.is_empty() {
             options.sizes.clone_from(&self.sizes);
         }
@@ -70,14 +66,9 @@ impl Args {
         }
         let seconds = self.seconds.unwrap_or(options.budget.seconds);
         if !(seconds.is_finite() && seconds > 0.0) {
-            return Err(Failure::usage(format!(
-                "--seconds must be above 0, not {seconds}"
-            )));
+            return Err(Failure::usage(format!("--seconds must be above 0, not {seconds}")));
         }
-        options.budget = Budget {
-            seconds,
-            steps: self.steps.unwrap_or(options.budget.steps),
-        };
+        options.budget = Budget { seconds, steps: self.steps.unwrap_or(options.budget.steps) };
         Ok(options)
     }
 }
@@ -88,10 +79,7 @@ fn count(text: &str) -> Result<usize, String> {
         Some(digits) => (digits, 1000),
         None => (text, 1),
     };
-    let parsed = digits
-        .parse::<usize>()
-        .ok()
-        .and_then(|n| n.checked_mul(unit));
+    let parsed = digits.parse::<usize>().ok().and_then(|n| n.checked_mul(unit));
     parsed
         .filter(|n| (1..=5_000_000).contains(n))
         .ok_or_else(|| format!("`{text}` is not a number of Gaussians up to 5000k"))
@@ -106,11 +94,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let cancel = tools::cancel_on_signals()?;
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     // The job comes first, so that an error in a capture shows at once and not after minutes.
-    let job = args
-        .capture
-        .as_deref()
-        .map(|capture| run_job(args, capture, &cancel))
-        .transpose()?;
+    let job = args.capture.as_deref().map(|capture| run_job(args, capture, &cancel)).transpose()?;
     eprintln!("measuring on {}", gpu.describe());
     let mut report = bench::run(&gpu, &options, &mut progress, &cancel)?;
     if let Some((times, scene)) = job {
@@ -132,10 +116,7 @@ fn progress(done: usize, total: usize, name: &str) {
 
 fn print(table: &str) -> Result<(), Failure> {
     use std::io::Write;
-    std::io::stdout()
-        .lock()
-        .write_all(table.as_bytes())
-        .map_err(|e| Failure::new(ErrorKind::Io, e))
+    std::io::stdout().lock().write_all(table.as_bytes()).map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
 /// Runs `fled run` in a temporary folder, and returns its times and its scene. Poses are not
@@ -152,34 +133,17 @@ fn run_job(
     options.adapter.clone_from(&args.adapter);
     let folder = tempfile::tempdir().map_err(|e| Failure::new(ErrorKind::Io, e))?;
     let workspace = Workspace::open(folder.path())?;
-    eprintln!(
-        "running {} with preset {}",
-        capture.display(),
-        args.preset.name()
-    );
+    eprintln!("running {} with preset {}", capture.display(), args.preset.name());
     let begin = Instant::now();
     let capture = Capture::open(capture, &workspace.folder().work().capture())
         .map_err(PipelineError::from)?;
-    let places = tools::Args {
-        cache: Some("none".into()),
-        ..args.tools.clone()
-    };
+    let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
     let mut kit = tools::Kit::new(&places, &options, &capture)?;
-    let outcome = pipeline::run(
-        &capture,
-        &options,
-        &mut kit.tools(),
-        &workspace,
-        &mut tell_stage,
-        cancel,
-    )?;
+    let outcome =
+        pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut tell_stage, cancel)?;
     let seconds = begin.elapsed().as_secs_f64();
-    let times = JobTimes::new(
-        args.preset.name(),
-        &outcome.report,
-        seconds,
-        kit.gpu().memory().peak,
-    );
+    let times =
+        JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.gpu().memory().peak);
     Ok((times, Workload::of_run(folder.path())?))
 }
 
@@ -211,15 +175,7 @@ mod tests {
     #[test]
     fn k_means_thousand_and_invalid_counts_are_refused() {
         assert_eq!((count("10k"), count("2500")), (Ok(10_000), Ok(2_500)));
-        for wrong in [
-            "",
-            "k",
-            "0",
-            "ten",
-            "-3",
-            "9999999k",
-            "99999999999999999999",
-        ] {
+        for wrong in ["", "k", "0", "ten", "-3", "9999999k", "99999999999999999999"] {
             assert!(count(wrong).is_err(), "{wrong}");
         }
     }

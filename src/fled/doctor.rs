@@ -55,18 +55,8 @@ impl Check {
         hint: &'static str,
     ) -> Self {
         match found {
-            Ok(detail) => Self {
-                name,
-                ok: true,
-                detail,
-                hint: "",
-            },
-            Err(error) => Self {
-                name,
-                ok: false,
-                detail: error.to_string(),
-                hint,
-            },
+            Ok(detail) => Self { name, ok: true, detail, hint: "" },
+            Err(error) => Self { name, ok: false, detail: error.to_string(), hint },
         }
     }
 }
@@ -83,11 +73,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     } else {
         checks.iter().try_for_each(|check| {
             let state = if check.ok { "ok" } else { "MISSING" };
-            writeln!(
-                out,
-                "{state:8} {:12} {} {}",
-                check.name, check.detail, check.hint
-            )
+            writeln!(out, "{state:8} {:12} {} {}", check.name, check.detail, check.hint)
         })
     };
     written.map_err(|e| Failure::new(ErrorKind::Io, e))?;
@@ -124,11 +110,7 @@ fn checks(args: &Args) -> Vec<Check> {
             ColmapCli::new(&args.tools.colmap).version(),
             "apt-get install colmap",
         ),
-        Check::new(
-            "onnxruntime",
-            runtime,
-            "Run `make onnxruntime`, or set ORT_DYLIB_PATH",
-        ),
+        Check::new("onnxruntime", runtime, "Run `make onnxruntime`, or set ORT_DYLIB_PATH"),
         Check::new("models", model, "Set ORT_DYLIB_PATH"),
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
@@ -172,14 +154,7 @@ fn disk(args: &Args) -> Result<String, String> {
     let stat =
         rustix::fs::statvfs(&args.data).map_err(|e| format!("{}: {e}", args.data.display()))?;
     let free = stat.f_bavail * stat.f_frsize;
-    let text = format!(
-        "{:.1} GiB free at {}",
-        free as f64 / f64::from(1 << 30),
-        args.data.display()
-    );
-    if free < LEAST_SPACE {
-        Err(text)
-    } else {
-        Ok(text)
-    }
+    let text =
+        format!("{:.1} GiB free at {}", free as f64 / f64::from(1 << 30), args.data.display());
+    if free < LEAST_SPACE { Err(text) } else { Ok(text) }
 }

@@ -58,10 +58,7 @@ enum Command {
 
 impl From<EvaluationError> for Failure {
     fn from(error: EvaluationError) -> Self {
-        Self {
-            hint: error.hint(),
-            ..Self::new(error.kind(), error)
-        }
+        Self { hint: error.hint(), ..Self::new(error.kind(), error) }
     }
 }
 
@@ -121,8 +118,5 @@ fn delivered_round(run: &RunFolder) -> Result<u32, Failure> {
 
 fn print(table: &str) -> Result<(), Failure> {
     use std::io::Write;
-    std::io::stdout()
-        .lock()
-        .write_all(table.as_bytes())
-        .map_err(|e| Failure::new(ErrorKind::Io, e))
+    std::io::stdout().lock().write_all(table.as_bytes()).map_err(|e| Failure::new(ErrorKind::Io, e))
 }

@@ -32,12 +32,7 @@ impl Failure {
 
     /// With the advice that fits the kind.
     pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
-        Self {
-            kind,
-            detail: detail.to_string(),
-            hint: kind.hint().to_owned(),
-            wrong_use: false,
-        }
+        Self { kind, detail: detail.to_string(), hint: kind.hint().to_owned(), wrong_use: false }
     }
 
     /// An invalid value on the command line.
@@ -56,22 +51,13 @@ impl Failure {
         if !self.hint.is_empty() && !self.detail.contains(&self.hint) {
             eprintln!("      {}", self.hint);
         }
-        if self.wrong_use {
-            ExitCode::from(2)
-        } else {
-            ExitCode::from(self.kind.exit_code())
-        }
+        if self.wrong_use { ExitCode::from(2) } else { ExitCode::from(self.kind.exit_code()) }
     }
 }
 
 impl From<PipelineError> for Failure {
     fn from(error: PipelineError) -> Self {
-        Self {
-            kind: error.kind(),
-            hint: error.hint(),
-            detail: error.to_string(),
-            wrong_use: false,
-        }
+        Self { kind: error.kind(), hint: error.hint(), detail: error.to_string(), wrong_use: false }
     }
 }
 

@@ -34,10 +34,8 @@ pub struct Args {
 /// [`Failure`] if there is no data directory of this version, or something cannot be removed.
 pub fn main(args: &Args) -> Result<(), Failure> {
     if !args.data.join("fled.db").is_file() {
-        let detail = format!(
-            "{} has no fled.db, so it is not a data directory",
-            args.data.display()
-        );
+        let detail =
+            format!("{} has no fled.db, so it is not a data directory", args.data.display());
         return Err(Failure::usage(detail));
     }
     let options = GcOptions {

@@ -15,12 +15,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
     /// New, empty database: postgres://USER:PASSWORD@HOST/NAME.
-    #[arg(
-        long = "db",
-        value_name = "URL",
-        env = "FLED_DB",
-        hide_env_values = true
-    )]
+    #[arg(long = "db", value_name = "URL", env = "FLED_DB", hide_env_values = true)]
     database: String,
     /// New, empty file store that machines share: a directory, or s3://BUCKET/PREFIX with
     /// credentials in the usual AWS_ variables.
@@ -36,20 +31,14 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     log();
     if !args.data.join("fled.db").is_file() {
-        let detail = format!(
-            "{} has no fled.db, so it is not a data directory",
-            args.data.display()
-        );
+        let detail =
+            format!("{} has no fled.db, so it is not a data directory", args.data.display());
         return Err(Failure::usage(detail));
     }
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     let done = runtime
-        .block_on(fled_server::migrate(
-            &args.data,
-            &args.database,
-            &args.files,
-        ))
+        .block_on(fled_server::migrate(&args.data, &args.database, &args.files))
         .map_err(|error| failed(&error))?;
     eprintln!(
         "{} rows copied to the database, and {} files, {:.1} MB, to the store",

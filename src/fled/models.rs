@@ -47,19 +47,8 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 fn verdict(runtime: &Runtime, name: &str, folders: &[PathBuf]) -> Result<String, DeblurError> {
     let (network, said) = Onnx::load(runtime, &Model::find(name, folders)?, 0)?;
     let info = network.describe();
-    let role = if info.channels == 6 {
-        "guided"
-    } else {
-        "single"
-    };
-    let default = if name == BUILT_IN {
-        "; built in, the default"
-    } else {
-        ""
-    };
+    let role = if info.channels == 6 { "guided" } else { "single" };
+    let default = if name == BUILT_IN { "; built in, the default" } else { "" };
     let said = said.map(|said| format!("; {said}")).unwrap_or_default();
-    Ok(format!(
-        "ok       {role} on {}, sha256 {}{default}{said}",
-        info.provider, info.sha256
-    ))
+    Ok(format!("ok       {role} on {}, sha256 {}{default}{said}", info.provider, info.sha256))
 }

@@ -19,12 +19,7 @@ impl Reporter {
     /// Appends to `log`, so that a resumed run's log holds its whole history.
     pub fn new(log: File, json: bool) -> Self {
         let bar = (!json).then(overall_bar);
-        Self {
-            log,
-            started: Instant::now(),
-            bar,
-            json,
-        }
+        Self { log, started: Instant::now(), bar, json }
     }
 
     fn line(&mut self, text: &str) {
@@ -73,24 +68,12 @@ pub fn show_progress(bar: &ProgressBar, share: f64, seconds_left: Option<f64>) {
 fn advance(bar: &ProgressBar, event: &Event) {
     match event {
         Event::StageStarted { stage, round } => bar.set_message(name(stage.name(), *round)),
-        Event::StageAdvanced {
-            stage,
-            round,
-            done,
-            total,
-            steps_per_second,
-        } => {
+        Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
             let rate =
                 steps_per_second.map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
-            bar.set_message(format!(
-                "{} {done}/{total}{rate}",
-                name(stage.name(), *round)
-            ));
+            bar.set_message(format!("{} {done}/{total}{rate}", name(stage.name(), *round)));
         }
-        Event::Progress {
-            progress,
-            eta_seconds,
-        } => show_progress(bar, *progress, *eta_seconds),
+        Event::Progress { progress, eta_seconds } => show_progress(bar, *progress, *eta_seconds),
         _ => {}
     }
 }
@@ -106,25 +89,15 @@ fn lines(event: &Event) -> Vec<String> {
         | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
         Event::Planned { rounds, views, .. } => format!("{views} views, {rounds} rounds"),
-        Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        } => {
-            let how = if *skipped {
-                "already done, took"
-            } else {
-                "done in"
-            };
+        Event::StageFinished { stage, round, seconds, skipped } => {
+            let how = if *skipped { "already done, took" } else { "done in" };
             format!("{} {how} {seconds:.1} s", name(stage.name(), *round))
         }
         Event::Warning { code, message } => format!("warning ({code}): {message}"),
         Event::Log { message } => message.clone(),
-        Event::Finished {
-            best_round,
-            seconds,
-        } => format!("finished in {seconds:.1} s; round {best_round} is delivered"),
+        Event::Finished { best_round, seconds } => {
+            format!("finished in {seconds:.1} s; round {best_round} is delivered")
+        }
         Event::Failed { kind, detail, hint } => format!("failed ({kind}): {detail} {hint}"),
     };
     vec![line]
@@ -150,11 +123,7 @@ pub fn print(event: &Event) {
 
 /// A stage as it is told.
 pub fn name(stage: &str, round: u32) -> String {
-    if round == 0 {
-        stage.to_owned()
-    } else {
-        format!("round {round} {stage}")
-    }
+    if round == 0 { stage.to_owned() } else { format!("round {round} {stage}") }
 }
 
 /// A round's scores as lines of text.
@@ -181,8 +150,5 @@ pub fn round_lines(metrics: &fled_core::metrics::RoundMetrics) -> Vec<String> {
 
 /// The JSON name of an enum's value.
 fn word(value: &impl serde::Serialize) -> String {
-    serde_json::to_string(value)
-        .unwrap_or_default()
-        .trim_matches('"')
-        .to_owned()
+    serde_json::to_string(value).unwrap_or_default().trim_matches('"').to_owned()
 }

@@ -41,12 +41,7 @@ const TOKEN: &str = "FLED_TOKEN";
 #[derive(clap::Args)]
 pub struct Args {
     /// Address of the service.
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "FLED_SERVER",
-        default_value = "http://127.0.0.1:8080"
-    )]
+    #[arg(long, value_name = "URL", env = "FLED_SERVER", default_value = "http://127.0.0.1:8080")]
     server: String,
     /// File with the token, if one is required [default: the variable FLED_TOKEN].
     #[arg(long, value_name = "FILE")]
@@ -199,9 +194,7 @@ impl Remote {
         if let Some(bearer) = &self.bearer {
             request = request.header(header::AUTHORIZATION, bearer);
         }
-        let request = request
-            .body(body)
-            .map_err(|error| Fault::Refused(Failure::usage(error)))?;
+        let request = request.body(body).map_err(|error| Fault::Refused(Failure::usage(error)))?;
         match agent.run(request) {
             Ok(response) if response.status().is_success() => Ok(response),
             Ok(response) => Err(refusal(response)),
@@ -209,10 +202,7 @@ impl Remote {
                 error @ (ureq::Error::BadUri(_)
                 | ureq::Error::Http(_)
                 | ureq::Error::RequireHttpsOnly(_)),
-            ) => Err(Fault::Refused(Failure::usage(format!(
-                "{}: {error}",
-                self.base
-            )))),
+            ) => Err(Fault::Refused(Failure::usage(format!("{}: {error}", self.base)))),
             Err(error) => Err(Fault::Lost(error.to_string(), false)),
         }
     }
@@ -270,9 +260,7 @@ fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
 fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fault> {
     // The list of files of hundreds of rounds and views takes some megabytes.
     let body = response.body_mut().with_config().limit(256 << 20);
-    let text = body
-        .read_to_vec()
-        .map_err(|error| Fault::Lost(error.to_string(), false))?;
+    let text = body.read_to_vec().map_err(|error| Fault::Lost(error.to_string(), false))?;
     serde_json::from_slice(&text).map_err(|error| {
         let detail = format!("the server there is not a fled service: {error}");
         Fault::Refused(Failure::new(ErrorKind::Environment, detail))

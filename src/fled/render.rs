@@ -22,12 +22,7 @@ pub struct Args {
     #[command(flatten)]
     from: From,
     /// Degrees above the horizon; with --azimuth.
-    #[arg(
-        long,
-        default_value_t = 0.0,
-        allow_negative_numbers = true,
-        requires = "azimuth"
-    )]
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "azimuth")]
     elevation: f64,
     /// Distance from the scene's centre as a multiple of the cameras' mean distance; with
     /// --azimuth.
@@ -77,9 +72,8 @@ struct From {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let run = RunFolder::new(&args.run);
     let cameras = read_cameras(&run.cameras())?;
-    let camera = viewpoint(args)?
-        .camera(&cameras, PictureSize::from(args.size))
-        .map_err(Failure::usage)?;
+    let camera =
+        viewpoint(args)?.camera(&cameras, PictureSize::from(args.size)).map_err(Failure::usage)?;
     let scene = run.scene_of(args.round);
     let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
     let (gaussians, camera) = (scene.gaussians, scene.normalisation.within(&camera));
@@ -90,14 +84,9 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         let depth = renderer.depth(&gaussians, &camera).map_err(render)?;
         depth.picture()
     } else {
-        renderer
-            .render(&gaussians, &camera, gaussians.sh_degree)
-            .map_err(render)?
-            .exposed(args.ev)
+        renderer.render(&gaussians, &camera, gaussians.sh_degree).map_err(render)?.exposed(args.ev)
     };
-    picture
-        .save(&args.output)
-        .map_err(|e| Failure::new(ErrorKind::Io, e))
+    picture.save(&args.output).map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
 /// Parses stops of exposure.
@@ -105,9 +94,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 /// # Errors
 /// A message for anything but a number within [`MOST_STOPS`].
 pub fn stops(text: &str) -> Result<f64, String> {
-    let ev: f64 = text
-        .parse()
-        .map_err(|_| format!("`{text}` is not a number"))?;
+    let ev: f64 = text.parse().map_err(|_| format!("`{text}` is not a number"))?;
     if ev.abs() <= MOST_STOPS {
         return Ok(ev);
     }

@@ -35,9 +35,7 @@ pub fn main() -> Result<(), Failure> {
         let text =
             serde_json::to_string(&reply).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
         let mut out = io::stdout().lock();
-        writeln!(out, "{text}")
-            .and_then(|()| out.flush())
-            .map_err(gone)?;
+        writeln!(out, "{text}").and_then(|()| out.flush()).map_err(gone)?;
     }
     Ok(())
 }
@@ -84,10 +82,7 @@ struct Worker {
 impl Worker {
     fn open() -> Result<Self, String> {
         let gpu = Gpu::new("auto").map_err(words)?;
-        Ok(Self {
-            renderer: Renderer::new(&gpu),
-            scene: None,
-        })
+        Ok(Self { renderer: Renderer::new(&gpu), scene: None })
     }
 
     fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
@@ -107,10 +102,7 @@ impl Worker {
     fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
         let scene = ply::read(&request.scene).map_err(words)?;
         let camera = scene.normalisation.within(&request.camera.camera());
-        let depth = self
-            .renderer
-            .depth(&scene.gaussians, &camera)
-            .map_err(words)?;
+        let depth = self.renderer.depth(&scene.gaussians, &camera).map_err(words)?;
         Ok(depth.picture())
     }
 

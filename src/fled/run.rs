@@ -69,11 +69,7 @@ pub fn main(args: &Args, extent: Extent) -> Result<(), Failure> {
     let options = options(args)?;
     let workspace = Workspace::open(&args.out)?;
     let path = workspace.folder().log();
-    let log = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(&path)
-        .map_err(io(&path))?;
+    let log = OpenOptions::new().create(true).append(true).open(&path).map_err(io(&path))?;
     let mut reporter = Reporter::new(log, args.json);
     let cancel = tools::cancel_on_signals()?;
     let outcome = run(args, extent, &options, &workspace, &mut reporter, &cancel);
@@ -126,13 +122,7 @@ fn run(
 
 /// Names what is not used and what is worth knowing of each photograph.
 fn tell(assessments: &[Assessment], reporter: &mut Reporter) {
-    for Assessment {
-        name,
-        reason,
-        warnings,
-        ..
-    } in assessments
-    {
+    for Assessment { name, reason, warnings, .. } in assessments {
         if let Some(reason) = reason {
             reporter.warn("unused", format!("{name} is not used: {reason}"));
         }
@@ -190,12 +180,7 @@ fn frames(
         fs::remove_dir_all(&unfinished).map_err(io(&unfinished))?;
     }
     let name = video.file_name().unwrap_or_default().to_string_lossy();
-    let wanted = Wanted {
-        count: args.frames,
-        into: &unfinished,
-        stem: "frame",
-        room: u64::MAX,
-    };
+    let wanted = Wanted { count: args.frames, into: &unfinished, stem: "frame", room: u64::MAX };
     let ffmpeg = args.ffmpeg.command()?;
     let taken = video::take_frames(&ffmpeg, video, &wanted, cancel)?;
     match taken.hdr {
@@ -215,9 +200,6 @@ impl From<VideoError> for Failure {
             VideoError::Io { .. } | VideoError::NoRoom { .. } => ErrorKind::Io,
             _ => ErrorKind::BadInput,
         };
-        Self {
-            hint: error.hint().to_owned(),
-            ..Self::new(kind, error)
-        }
+        Self { hint: error.hint().to_owned(), ..Self::new(kind, error) }
     }
 }

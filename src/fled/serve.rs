@@ -77,7 +77,5 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
-    runtime
-        .block_on(fled_server::serve(config))
-        .map_err(|e| Failure::new(ErrorKind::Io, e))
+    runtime.block_on(fled_server::serve(config)).map_err(|e| Failure::new(ErrorKind::Io, e))
 }

@@ -12,12 +12,7 @@ use crate::tools;
 pub struct Shared {
     /// Database: sqlite:FILE, or postgres://USER:PASSWORD@HOST/NAME, which any number of machines
     /// can share [default: a file in --data].
-    #[arg(
-        long = "db",
-        value_name = "URL",
-        env = "FLED_DB",
-        hide_env_values = true
-    )]
+    #[arg(long = "db", value_name = "URL", env = "FLED_DB", hide_env_values = true)]
     pub database: Option<String>,
     /// File store that machines share: a directory, or s3://BUCKET/PREFIX with credentials in the
     /// usual AWS_ variables. --data is then this machine's copy. Required with PostgreSQL.

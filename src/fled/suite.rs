@@ -63,11 +63,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let suite = suite(args)?;
     let program = Program::own(&args.tools)?;
-    let mut setup = Setup::open(
-        program.path(),
-        machine(&program)?,
-        args.tools.models.folders(),
-    )?;
+    let mut setup = Setup::open(program.path(), machine(&program)?, args.tools.models.folders())?;
     setup.poses.clone_from(&args.tools.cache);
     let records = Records::new(&args.out);
     let runs = if args.finished {
@@ -96,13 +92,11 @@ fn suite(args: &Args) -> Result<Suite, SuiteError> {
     if let Some(path) = &args.capture_list {
         suite = suite.with_captures_of(path)?;
     }
-    suite
-        .with_assignments(&args.assignments)?
-        .selected(&Selection {
-            only: args.only.clone(),
-            captures: args.captures.clone(),
-            seeds: args.seeds,
-        })
+    suite.with_assignments(&args.assignments)?.selected(&Selection {
+        only: args.only.clone(),
+        captures: args.captures.clone(),
+        seeds: args.seeds,
+    })
 }
 
 fn write_json(path: &Path, summary: &Summary) -> Result<(), Failure> {
@@ -117,9 +111,7 @@ fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
     let checks = said["checks"].as_array().into_iter().flatten();
     let named = checks.filter_map(|check| {
         let (name, detail) = (check["name"].as_str()?, check["detail"].as_str()?);
-        COMPUTING
-            .contains(&name)
-            .then(|| (name.to_owned(), detail.to_owned()))
+        COMPUTING.contains(&name).then(|| (name.to_owned(), detail.to_owned()))
     });
     let found: BTreeMap<String, String> = named.collect();
     if found.len() != COMPUTING.len() {

@@ -47,11 +47,7 @@ pub struct Args {
 /// # Errors
 /// A message for clap.
 pub fn size(text: &str) -> Result<(usize, usize), String> {
-    let parse = |side: &str| {
-        side.parse::<usize>()
-            .ok()
-            .filter(|side| (1..=16_384).contains(side))
-    };
+    let parse = |side: &str| side.parse::<usize>().ok().filter(|side| (1..=16_384).contains(side));
     text.split_once('x')
         .and_then(|(width, height)| Some((parse(width)?, parse(height)?)))
         .ok_or_else(|| format!("`{text}` is not WIDTHxHEIGHT in pixels"))

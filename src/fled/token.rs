@@ -62,12 +62,7 @@ struct Data {
     #[arg(long = "data", value_name = "DIR", default_value = "data")]
     dir: PathBuf,
     /// Database of the service if it is not in --data: postgres://USER:PASSWORD@HOST/NAME.
-    #[arg(
-        long = "db",
-        value_name = "URL",
-        env = "FLED_DB",
-        hide_env_values = true
-    )]
+    #[arg(long = "db", value_name = "URL", env = "FLED_DB", hide_env_values = true)]
     database: Option<String>,
 }
 
@@ -93,10 +88,7 @@ async fn create(args: &Create) -> Result<(), Failure> {
     let expires_at = args.expires.as_deref().map(expiry);
     let expires_at = expires_at.transpose().map_err(wrong)?;
     let bytes = args.quota_bytes.as_deref().map(size);
-    let quotas = Quotas {
-        bytes: bytes.transpose().map_err(wrong)?,
-        jobs: args.quota_jobs,
-    };
+    let quotas = Quotas { bytes: bytes.transpose().map_err(wrong)?, jobs: args.quota_jobs };
     let secret = Secret::new().map_err(wrong)?;
     let id = new_id().map_err(wrong)?;
     let store = open(&args.data).await?;
@@ -110,10 +102,7 @@ async fn create(args: &Create) -> Result<(), Failure> {
     };
     store.insert_token(&token).await.map_err(failed)?;
     store.close().await;
-    eprintln!(
-        "Token {} has the scopes {}. It is shown only this once:",
-        token.id, token.scopes
-    );
+    eprintln!("Token {} has the scopes {}. It is shown only this once:", token.id, token.scopes);
     say(secret.reveal())
 }
 
@@ -135,13 +124,9 @@ fn line(token: &TokenRow, now: i64) -> String {
         (None, Some(at)) => format!("expires {}", shown(at)),
         (None, None) => "never expires".to_owned(),
     };
-    let used = token.last_used_at.map_or("never used".to_owned(), |at| {
-        format!("last used {}", shown(at))
-    });
-    let bytes = token
-        .quotas
-        .bytes
-        .map(|bytes| format!(", {} MB", bytes / 1_000_000));
+    let used =
+        token.last_used_at.map_or("never used".to_owned(), |at| format!("last used {}", shown(at)));
+    let bytes = token.quotas.bytes.map(|bytes| format!(", {} MB", bytes / 1_000_000));
     let jobs = token.quotas.jobs.map(|jobs| format!(", {jobs} jobs"));
     format!(
         "{}  {}  created {}, {used}, {end}{}{}  {}",
@@ -171,10 +156,7 @@ async fn revoke(data: &Data, id: &str) -> Result<(), Failure> {
 async fn existing(data: &Data) -> Result<Store, Failure> {
     let dir = &data.dir;
     if data.database.is_none() && !dir.join("fled.db").is_file() {
-        let detail = format!(
-            "{} has no fled.db, so it is not a data directory",
-            dir.display()
-        );
+        let detail = format!("{} has no fled.db, so it is not a data directory", dir.display());
         return Err(Failure::usage(detail));
     }
     open(data).await

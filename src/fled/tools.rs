@@ -24,12 +24,7 @@ use crate::failure::Failure;
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
     /// Path of the COLMAP program.
-    #[arg(
-        long,
-        value_name = "PROGRAM",
-        default_value = "colmap",
-        env = "FLED_COLMAP"
-    )]
+    #[arg(long, value_name = "PROGRAM", default_value = "colmap", env = "FLED_COLMAP")]
     pub colmap: PathBuf,
     /// Path of the ONNX Runtime library, if `fled doctor` does not find it.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
@@ -49,12 +44,7 @@ pub struct Args {
 #[derive(clap::Args, Clone, Debug)]
 pub struct Ffmpeg {
     /// Path of the ffmpeg program, which reads and writes videos.
-    #[arg(
-        long = "ffmpeg",
-        value_name = "PROGRAM",
-        default_value = "ffmpeg",
-        env = "FLED_FFMPEG"
-    )]
+    #[arg(long = "ffmpeg", value_name = "PROGRAM", default_value = "ffmpeg", env = "FLED_FFMPEG")]
     pub program: PathBuf,
 }
 
@@ -159,11 +149,7 @@ impl Args {
 /// Folders of this name at the top of the checkout whose target/release or target/debug contains
 /// the program.
 fn beside_checkout(program: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
-    program
-        .ancestors()
-        .skip(1)
-        .take(2)
-        .map(move |up| up.join(name))
+    program.ancestors().skip(1).take(2).map(move |up| up.join(name))
 }
 
 fn data_home() -> Option<PathBuf> {
@@ -196,13 +182,7 @@ impl Kit {
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
         let gpu =
             Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-        let (
-            deblur::Opened {
-                deblurrer,
-                mut fallbacks,
-            },
-            enhancer,
-        ) = open_networks(args, options)?;
+        let (deblur::Opened { deblurrer, mut fallbacks }, enhancer) = open_networks(args, options)?;
         let enhancer = enhancer.map(|opened| {
             fallbacks.extend(opened.fallbacks);
             opened.deblurrer
@@ -218,15 +198,7 @@ impl Kit {
             }
         };
         let sfm = sfm(args, options, capture, matching.clone())?;
-        Ok(Self {
-            gpu,
-            sfm,
-            matching,
-            deblurrer,
-            enhancer,
-            fallbacks,
-            cache: args.cache(),
-        })
+        Ok(Self { gpu, sfm, matching, deblurrer, enhancer, fallbacks, cache: args.cache() })
     }
 
     /// The device.
@@ -241,10 +213,7 @@ impl Kit {
             sfm: self.sfm.as_ref(),
             matching: self.matching.as_deref(),
             deblurrer: self.deblurrer.as_mut(),
-            enhancer: self
-                .enhancer
-                .as_mut()
-                .map(|enhancer| &mut **enhancer as &mut dyn Restorer),
+            enhancer: self.enhancer.as_mut().map(|enhancer| &mut **enhancer as &mut dyn Restorer),
             fallbacks: self.fallbacks.clone(),
             cache: self.cache.clone(),
         }
@@ -298,10 +267,7 @@ fn open_networks(
     };
     let deblurrer = deblur::open(&options.deblur, &open);
     let enhancer = deblur::open_enhancer(&options.enhance, &open);
-    Ok((
-        deblurrer.map_err(PipelineError::from)?,
-        enhancer.map_err(PipelineError::from)?,
-    ))
+    Ok((deblurrer.map_err(PipelineError::from)?, enhancer.map_err(PipelineError::from)?))
 }
 
 /// Returns a token that SIGINT and SIGTERM cancel. A further SIGINT ends the process at once. A
@@ -315,10 +281,8 @@ pub fn cancel_on_signals() -> Result<CancelToken, Failure> {
     let internal = |e: std::io::Error| Failure::new(ErrorKind::Internal, e);
     let token = CancelToken::new();
     let raised = token.clone();
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_io()
-        .build()
-        .map_err(internal)?;
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(internal)?;
     let (mut interrupt, mut terminate) = runtime
         .block_on(async {
             Ok::<_, std::io::Error>((

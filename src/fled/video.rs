@@ -101,10 +101,9 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let outcome = make(args, &cancel);
     if args.json {
         print(&match &outcome {
-            Ok(round) => Event::Finished {
-                best_round: *round,
-                seconds: started.elapsed().as_secs_f64(),
-            },
+            Ok(round) => {
+                Event::Finished { best_round: *round, seconds: started.elapsed().as_secs_f64() }
+            }
             Err(failure) => failure.event(),
         });
     }
@@ -122,15 +121,9 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let cameras: Vec<Camera> = cameras.iter().map(within).collect();
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let renderer = Renderer::new(&gpu);
-    let uploaded = renderer
-        .upload(&scene.gaussians)
-        .map_err(PipelineError::from)?;
+    let uploaded = renderer.upload(&scene.gaussians).map_err(PipelineError::from)?;
     drop(scene);
-    let target = Target {
-        program: &args.ffmpeg.program,
-        file: &args.output,
-        fps: plan.fps(),
-    };
+    let target = Target { program: &args.ffmpeg.program, file: &args.output, fps: plan.fps() };
     let progress = Progress::new(args.json, cameras.len());
     video::write(&target, &cameras, |number, camera| {
         cancel.check()?;
@@ -148,11 +141,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
         let unreadable = |e| Failure::usage(format!("{}: {e}", path.display()));
         return serde_json::from_slice(&bytes).map_err(unreadable);
     }
-    let kind = if args.way.cameras {
-        Kind::Cameras
-    } else {
-        Kind::Orbit
-    };
+    let kind = if args.way.cameras { Kind::Cameras } else { Kind::Orbit };
     Ok(Plan {
         seconds: args.seconds,
         fps: args.fps,
@@ -207,10 +196,7 @@ impl From<EncodeError> for Failure {
             EncodeError::Missing { .. } => ErrorKind::Environment,
             EncodeError::Refused { .. } | EncodeError::Io { .. } => ErrorKind::Io,
         };
-        Self {
-            hint: error.hint().to_owned(),
-            ..Self::new(kind, error)
-        }
+        Self { hint: error.hint().to_owned(), ..Self::new(kind, error) }
     }
 }
 

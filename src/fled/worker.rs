@@ -51,9 +51,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
-    runtime
-        .block_on(fled_server::work(config))
-        .map_err(|e| Failure::new(ErrorKind::Io, e))
+    runtime.block_on(fled_server::work(config)).map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
 /// Describes this machine.
@@ -77,9 +75,7 @@ pub fn about(adapter: &str, jobs: usize) -> About {
 /// This machine's memory in bytes, if it is known.
 fn memory() -> Option<u64> {
     let told = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = told
-        .lines()
-        .find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let line = told.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }

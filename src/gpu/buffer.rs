@@ -21,12 +21,7 @@ pub struct Buffer<T> {
 
 impl<T> Clone for Buffer<T> {
     fn clone(&self) -> Self {
-        Self {
-            raw: self.raw.clone(),
-            len: self.len,
-            gpu: self.gpu.clone(),
-            element: PhantomData,
-        }
+        Self { raw: self.raw.clone(), len: self.len, gpu: self.gpu.clone(), element: PhantomData }
     }
 }
 
@@ -86,10 +81,7 @@ impl<T: Pod> Buffer<T> {
             )));
         }
         let start = offset as u64 * self.raw.stride;
-        self.gpu
-            .inner
-            .queue
-            .write_buffer(&self.raw.raw, start, bytemuck::cast_slice(values));
+        self.gpu.inner.queue.write_buffer(&self.raw.raw, start, bytemuck::cast_slice(values));
         self.gpu.check()
     }
 
@@ -125,16 +117,12 @@ impl<T: Pod> Buffer<T> {
     /// A device error, or [`GpuError::Validation`] past the end.
     pub fn start_read(&self, count: usize) -> Result<ReadBack<T>, GpuError> {
         if count > self.len {
-            return Err(GpuError::Validation(format!(
-                "read of {count} of `{}`",
-                self.raw.label
-            )));
+            return Err(GpuError::Validation(format!("read of {count} of `{}`", self.raw.label)));
         }
         let bytes = (count as u64 * self.raw.stride).next_multiple_of(4);
         let device = &self.gpu.inner.device;
         let (staging, counted) =
-            self.gpu
-                .create_raw("read back", bytes, wgpu::BufferUsages::MAP_READ)?;
+            self.gpu.create_raw("read back", bytes, wgpu::BufferUsages::MAP_READ)?;
         let mut encoder =
             device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: None });
         encoder.copy_buffer_to_buffer(&self.raw.raw, 0, &staging, 0, bytes);
@@ -177,9 +165,7 @@ impl<T: Pod> ReadBack<T> {
         self.gpu.wait_for(&self.submission)?;
         if self.mapped.recv() != Ok(true) {
             self.gpu.check()?;
-            return Err(GpuError::DeviceLost(
-                "a buffer could not be mapped".to_owned(),
-            ));
+            return Err(GpuError::DeviceLost("a buffer could not be mapped".to_owned()));
         }
         let view = self
             .staging
@@ -204,11 +190,7 @@ impl Gpu {
         let bytes = len as u64 * stride;
         let limit = self.describe().max_binding;
         if bytes > limit {
-            return Err(GpuError::TooLarge {
-                label: label.to_owned(),
-                bytes,
-                limit,
-            });
+            return Err(GpuError::TooLarge { label: label.to_owned(), bytes, limit });
         }
         let usage = wgpu::BufferUsages::STORAGE
             | wgpu::BufferUsages::UNIFORM
@@ -216,20 +198,8 @@ impl Gpu {
             | wgpu::BufferUsages::COPY_SRC;
         let (raw, counted) = self.create_raw(label, bytes, usage)?;
         let identity = Identity::new(&self.inner.groups);
-        let raw = RawBuffer {
-            raw,
-            label,
-            stride,
-            bytes,
-            identity,
-            _counted: Arc::new(counted),
-        };
-        Ok(Buffer {
-            raw,
-            len,
-            gpu: self.clone(),
-            element: PhantomData,
-        })
+        let raw = RawBuffer { raw, label, stride, bytes, identity, _counted: Arc::new(counted) };
+        Ok(Buffer { raw, len, gpu: self.clone(), element: PhantomData })
     }
 
     /// Creates a buffer with these elements.
@@ -262,10 +232,7 @@ impl Gpu {
         });
         let validation = pollster::block_on(validation.pop());
         if pollster::block_on(memory.pop()).is_some() {
-            return Err(GpuError::OutOfMemory {
-                label: label.to_owned(),
-                bytes,
-            });
+            return Err(GpuError::OutOfMemory { label: label.to_owned(), bytes });
         }
         match validation {
             Some(error) => Err(GpuError::Validation(format!("buffer `{label}`: {error}"))),

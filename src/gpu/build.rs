@@ -11,14 +11,8 @@ fn main() {
     files.sort();
     let mut table = String::from("pub(crate) static SOURCES: &[(&str, &str)] = &[\n");
     for file in &files {
-        let name = file
-            .strip_prefix(&root)
-            .expect("below the root")
-            .with_extension("");
-        let name = name
-            .to_str()
-            .expect("shader names are ASCII")
-            .replace('\\', "/");
+        let name = file.strip_prefix(&root).expect("below the root").with_extension("");
+        let name = name.to_str().expect("shader names are ASCII").replace('\\', "/");
         let path = file.canonicalize().expect("the file was just listed");
         table.push_str(&format!("    ({name:?}, include_str!({path:?})),\n"));
     }

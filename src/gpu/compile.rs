@@ -17,11 +17,7 @@ impl Gpu {
 
     /// The compiled kernel, cached after its first use.
     pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<Arc<Pipeline>, GpuError> {
-        let mut pipelines = self
-            .inner
-            .pipelines
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut pipelines = self.inner.pipelines.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(pipeline) = pipelines.get(kernel) {
             return Ok(pipeline.clone());
         }
@@ -67,16 +63,10 @@ impl Gpu {
             cache: None,
         });
         match pollster::block_on(scope.pop()) {
-            Some(error) => Err(GpuError::Shader {
-                name: kernel.name.to_owned(),
-                message: error.to_string(),
-            }),
-            None => Ok(Pipeline {
-                kernel: kernel.clone(),
-                raw,
-                layout,
-                reflection,
-            }),
+            Some(error) => {
+                Err(GpuError::Shader { name: kernel.name.to_owned(), message: error.to_string() })
+            }
+            None => Ok(Pipeline { kernel: kernel.clone(), raw, layout, reflection }),
         }
     }
 }
@@ -84,10 +74,7 @@ impl Gpu {
 #[allow(unsafe_code)]
 fn create_module(device: &wgpu::Device, kernel: &Kernel, text: String) -> wgpu::ShaderModule {
     let source = wgpu::ShaderSource::Wgsl(text.into());
-    let descriptor = wgpu::ShaderModuleDescriptor {
-        label: Some(kernel.name),
-        source,
-    };
+    let descriptor = wgpu::ShaderModuleDescriptor { label: Some(kernel.name), source };
     if !kernel.unchecked {
         return device.create_shader_module(descriptor);
     }
@@ -109,11 +96,7 @@ fn layout_entry(binding: u32, access: Access, stored: bool) -> wgpu::BindGroupLa
     wgpu::BindGroupLayoutEntry {
         binding,
         visibility: wgpu::ShaderStages::COMPUTE,
-        ty: wgpu::BindingType::Buffer {
-            ty,
-            has_dynamic_offset: false,
-            min_binding_size: None,
-        },
+        ty: wgpu::BindingType::Buffer { ty, has_dynamic_offset: false, min_binding_size: None },
         count: None,
     }
 }

@@ -93,9 +93,7 @@ impl Gpu {
         descriptor.backends = wgpu::Backends::VULKAN;
         // Validation of indirect dispatches costs an additional dispatch each; the kernels that
         // write the arguments fold them below 65,535 per dimension (shared/grid.wgsl).
-        descriptor
-            .flags
-            .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
         let instance = wgpu::Instance::new(descriptor);
         let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
         let adapter = choose(adapters, adapter)?;
@@ -112,11 +110,7 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::DeviceLost`], [`GpuError::OutOfMemory`] or [`GpuError::Validation`].
     pub fn check(&self) -> Result<(), GpuError> {
-        let fault = self
-            .inner
-            .fault
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let fault = self.inner.fault.lock().unwrap_or_else(PoisonError::into_inner);
         fault.clone().map_or(Ok(()), Err)
     }
 
@@ -138,21 +132,14 @@ impl Gpu {
 
     fn poll(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
         self.check()?;
-        let wait = wgpu::PollType::Wait {
-            submission_index,
-            timeout: Some(TIMEOUT),
-        };
+        let wait = wgpu::PollType::Wait { submission_index, timeout: Some(TIMEOUT) };
         // wgpu panics inside `poll` when the device is lost; here that is an ordinary error.
         let polled = catch_unwind(AssertUnwindSafe(|| self.inner.device.poll(wait)));
         self.check()?;
         match polled {
             Ok(Ok(_)) => Ok(()),
-            Ok(Err(_)) => Err(GpuError::Timeout {
-                seconds: TIMEOUT.as_secs(),
-            }),
-            Err(_) => Err(GpuError::DeviceLost(
-                "waiting for the device failed".to_owned(),
-            )),
+            Ok(Err(_)) => Err(GpuError::Timeout { seconds: TIMEOUT.as_secs() }),
+            Err(_) => Err(GpuError::DeviceLost("waiting for the device failed".to_owned())),
         }
     }
 
@@ -160,10 +147,7 @@ impl Gpu {
     /// [`GpuError::DeviceLost`].
     pub fn lose(&self) {
         self.inner.device.destroy();
-        note(
-            &self.inner.fault,
-            GpuError::DeviceLost("given up".to_owned()),
-        );
+        note(&self.inner.fault, GpuError::DeviceLost("given up".to_owned()));
     }
 }
 
@@ -210,17 +194,13 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
     limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(most);
     let info = AdapterInfo {
         name: raw.name.clone(),
-        driver: format!("{} {}", raw.driver, raw.driver_info)
-            .trim()
-            .to_owned(),
+        driver: format!("{} {}", raw.driver, raw.driver_info).trim().to_owned(),
         backend: raw.backend.to_string(),
         device_type: device_type(raw.device_type),
         subgroup: features
             .contains(wgpu::Features::SUBGROUP)
             .then_some((raw.subgroup_min_size, raw.subgroup_max_size)),
-        max_binding: limits
-            .max_storage_buffer_binding_size
-            .min(limits.max_buffer_size),
+        max_binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
         timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
     };
     let descriptor = wgpu::DeviceDescriptor {
@@ -230,12 +210,8 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         memory_hints: wgpu::MemoryHints::MemoryUsage,
         ..Default::default()
     };
-    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
-        GpuError::NoAdapter {
-            reason: e.to_string(),
-            found: vec![raw.name],
-        }
-    })?;
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+        .map_err(|e| GpuError::NoAdapter { reason: e.to_string(), found: vec![raw.name] })?;
     let fault = Arc::new(Mutex::new(None));
     let (uncaptured, lost) = (fault.clone(), fault.clone());
     device.on_uncaptured_error(Arc::new(move |error| note(&uncaptured, translate(error))));
@@ -254,25 +230,20 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         profile: Mutex::default(),
         tally: Arc::default(),
     };
-    Ok(Gpu {
-        inner: Arc::new(inner),
-    })
+    Ok(Gpu { inner: Arc::new(inner) })
 }
 
 /// Keeps only the first fault, because later ones follow from it.
 fn note(slot: &Mutex<Option<GpuError>>, error: GpuError) {
     tracing::error!(%error, "GPU fault");
-    slot.lock()
-        .unwrap_or_else(PoisonError::into_inner)
-        .get_or_insert(error);
+    slot.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
 }
 
 fn translate(error: wgpu::Error) -> GpuError {
     match error {
-        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory {
-            label: "a command".to_owned(),
-            bytes: 0,
-        },
+        wgpu::Error::OutOfMemory { .. } => {
+            GpuError::OutOfMemory { label: "a command".to_owned(), bytes: 0 }
+        }
         wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
             GpuError::Validation(description)
         }

@@ -31,19 +31,14 @@ impl Identity {
     /// A new identity, whose groups will be cached in `groups`.
     pub(crate) fn new(groups: &Arc<Groups>) -> Self {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        Self(Arc::new(Owned {
-            number,
-            groups: Arc::downgrade(groups),
-        }))
+        Self(Arc::new(Owned { number, groups: Arc::downgrade(groups) }))
     }
 }
 
 impl Drop for Owned {
     fn drop(&mut self) {
         if let Some(groups) = self.groups.upgrade() {
-            groups
-                .kept()
-                .retain(|(_, buffers), _| !buffers.contains(&self.number));
+            groups.kept().retain(|(_, buffers), _| !buffers.contains(&self.number));
         }
     }
 }

@@ -15,26 +15,17 @@ pub struct Binding {
 
 /// A uniform binding.
 pub const fn uniform(name: &'static str) -> Binding {
-    Binding {
-        name,
-        access: Access::Uniform,
-    }
+    Binding { name, access: Access::Uniform }
 }
 
 /// A read-only storage binding.
 pub const fn read(name: &'static str) -> Binding {
-    Binding {
-        name,
-        access: Access::Read,
-    }
+    Binding { name, access: Access::Read }
 }
 
 /// A writable storage binding.
 pub const fn read_write(name: &'static str) -> Binding {
-    Binding {
-        name,
-        access: Access::ReadWrite,
-    }
+    Binding { name, access: Access::ReadWrite }
 }
 
 /// A row of a kernel table: one shader file with the entry point `main`.
@@ -54,12 +45,7 @@ pub struct Kernel {
 impl Kernel {
     /// A row without replaced constants.
     pub const fn new(name: &'static str, bindings: &'static [Binding]) -> Self {
-        Self {
-            name,
-            bindings,
-            constants: Cow::Borrowed(&[]),
-            unchecked: false,
-        }
+        Self { name, bindings, constants: Cow::Borrowed(&[]), unchecked: false }
     }
 
     /// Disables naga's run-time checks. Only for a kernel in which every index is below its array's
@@ -75,10 +61,7 @@ impl Kernel {
     pub fn with(&self, constants: &[(&'static str, u32)]) -> Self {
         let mut all = self.constants.to_vec();
         all.extend_from_slice(constants);
-        Self {
-            constants: Cow::Owned(all),
-            ..self.clone()
-        }
+        Self { constants: Cow::Owned(all), ..self.clone() }
     }
 
     /// The shader's text and declarations, after checking them against this row.
@@ -86,22 +69,13 @@ impl Kernel {
     /// # Errors
     /// [`GpuError::Shader`] for an invalid text, a missing entry point, or different bindings.
     pub fn reflect(&self) -> Result<(String, Reflection), GpuError> {
-        let fault = |message| {
-            Err(GpuError::Shader {
-                name: self.name.to_owned(),
-                message,
-            })
-        };
+        let fault = |message| Err(GpuError::Shader { name: self.name.to_owned(), message });
         let text = shader::expand(self.name, &self.constants)?;
         let found = reflect::reflect(self.name, &text)?;
         if found.workgroup == [0; 3] {
             return fault("no entry point `main`".to_owned());
         }
-        let numbered = found
-            .bindings
-            .iter()
-            .enumerate()
-            .all(|(i, b)| b.number as usize == i);
+        let numbered = found.bindings.iter().enumerate().all(|(i, b)| b.number as usize == i);
         let equal = found.bindings.iter().map(|b| (b.name.as_str(), b.access));
         if !numbered || !equal.eq(self.bindings.iter().map(|b| (b.name, b.access))) {
             return fault(format!(
@@ -119,10 +93,8 @@ mod tests {
 
     #[test]
     fn a_row_that_contradicts_its_shader_is_refused() {
-        const WRONG: Kernel = Kernel::new(
-            "shared/test_axpy",
-            &[uniform("scale"), read("x"), read("out")],
-        );
+        const WRONG: Kernel =
+            Kernel::new("shared/test_axpy", &[uniform("scale"), read("x"), read("out")]);
         assert!(matches!(WRONG.reflect(), Err(GpuError::Shader { .. })));
         let none = Kernel::new("shared/grid", &[]);
         assert!(

@@ -29,17 +29,9 @@ pub struct Recording {
 }
 
 enum Command {
-    Dispatch {
-        pipeline: Arc<Pipeline>,
-        group: wgpu::BindGroup,
-        workgroups: Workgroups,
-    },
+    Dispatch { pipeline: Arc<Pipeline>, group: wgpu::BindGroup, workgroups: Workgroups },
     Clear(RawBuffer),
-    Copy {
-        from: RawBuffer,
-        to: RawBuffer,
-        bytes: u64,
-    },
+    Copy { from: RawBuffer, to: RawBuffer, bytes: u64 },
 }
 
 enum Workgroups {
@@ -51,10 +43,7 @@ enum Workgroups {
 impl Gpu {
     /// An empty list of commands.
     pub fn recorder(&self) -> Recorder {
-        Recorder {
-            gpu: self.clone(),
-            commands: Vec::new(),
-        }
+        Recorder { gpu: self.clone(), commands: Vec::new() }
     }
 }
 
@@ -91,13 +80,7 @@ impl Recorder {
         buffers: &[&dyn Bind],
         items: usize,
     ) -> Result<(), GpuError> {
-        let width: u32 = self
-            .gpu
-            .pipeline(kernel)?
-            .reflection
-            .workgroup
-            .iter()
-            .product();
+        let width: u32 = self.gpu.pipeline(kernel)?.reflection.workgroup.iter().product();
         self.dispatch_groups(kernel, buffers, items.div_ceil(width as usize))
     }
 
@@ -159,11 +142,7 @@ impl Recorder {
             )));
         }
         let bytes = (count * size_of::<T>()) as u64;
-        self.commands.push(Command::Copy {
-            from: from.raw().clone(),
-            to: to.raw().clone(),
-            bytes,
-        });
+        self.commands.push(Command::Copy { from: from.raw().clone(), to: to.raw().clone(), bytes });
         Ok(())
     }
 
@@ -177,10 +156,7 @@ impl Recorder {
 
     /// Finishes the list.
     pub fn finish(self) -> Recording {
-        Recording {
-            gpu: self.gpu,
-            commands: self.commands,
-        }
+        Recording { gpu: self.gpu, commands: self.commands }
     }
 
     fn push(
@@ -195,11 +171,7 @@ impl Recorder {
         let bound: Vec<_> = raws.iter().map(|b| (&b.identity, &b.raw)).collect();
         let inner = &self.gpu.inner;
         let group = inner.groups.group(&inner.device, &pipeline, &bound);
-        self.commands.push(Command::Dispatch {
-            pipeline,
-            group,
-            workgroups,
-        });
+        self.commands.push(Command::Dispatch { pipeline, group, workgroups });
         self.gpu.check()
     }
 }
@@ -214,14 +186,9 @@ impl Recording {
         self.gpu.check()?;
         let mut encoder = inner
             .device
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
-                label: Some("recording"),
-            });
-        let dispatches = self
-            .commands
-            .iter()
-            .filter(|c| matches!(c, Command::Dispatch { .. }))
-            .count();
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("recording") });
+        let dispatches =
+            self.commands.iter().filter(|c| matches!(c, Command::Dispatch { .. })).count();
         let timer = self.gpu.timer(dispatches);
         let mut commands = self.commands.iter().peekable();
         while let Some(command) = commands.next_if(|_| true) {
@@ -230,20 +197,13 @@ impl Recording {
                 Command::Copy { from, to, bytes } => {
                     encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, *bytes);
                 }
-                Command::Dispatch {
-                    pipeline,
-                    group,
-                    workgroups,
-                } => {
+                Command::Dispatch { pipeline, group, workgroups } => {
                     let mut pass = begin(&mut encoder, timer.as_ref(), pipeline);
                     encode(&mut pass, pipeline, group, workgroups);
                     // Timed kernels have separate passes; otherwise one pass takes all that follow.
                     while timer.is_none()
-                        && let Some(Command::Dispatch {
-                            pipeline,
-                            group,
-                            workgroups,
-                        }) = commands.next_if(|c| matches!(c, Command::Dispatch { .. }))
+                        && let Some(Command::Dispatch { pipeline, group, workgroups }) =
+                            commands.next_if(|c| matches!(c, Command::Dispatch { .. }))
                     {
                         encode(&mut pass, pipeline, group, workgroups);
                     }
@@ -268,10 +228,7 @@ fn begin<'a>(
     pipeline: &Pipeline,
 ) -> wgpu::ComputePass<'a> {
     let timestamp_writes = timer.map(|t| t.next(pipeline.kernel.name));
-    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-        label: None,
-        timestamp_writes,
-    })
+    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes })
 }
 
 fn encode(
@@ -297,10 +254,7 @@ fn fold(groups: usize) -> [u32; 3] {
 }
 
 fn fault(kernel: &Kernel, message: String) -> GpuError {
-    GpuError::Binding {
-        kernel: kernel.name.to_owned(),
-        message,
-    }
+    GpuError::Binding { kernel: kernel.name.to_owned(), message }
 }
 
 /// Checks number, element size and aliasing of the buffers against the shader's declarations.
@@ -330,14 +284,10 @@ fn check(pipeline: &Pipeline, buffers: &[&RawBuffer]) -> Result<(), GpuError> {
                 format!("`{name}`: elements of {stride} bytes, `{label}` of {element}"),
             ));
         }
-        let aliased = buffers
-            .iter()
-            .zip(declared)
-            .enumerate()
-            .any(|(j, (other, d))| {
-                let written = binding.access == Access::ReadWrite || d.access == Access::ReadWrite;
-                i != j && written && other.raw == buffer.raw
-            });
+        let aliased = buffers.iter().zip(declared).enumerate().any(|(j, (other, d))| {
+            let written = binding.access == Access::ReadWrite || d.access == Access::ReadWrite;
+            i != j && written && other.raw == buffer.raw
+        });
         if aliased {
             return Err(fault(
                 kernel,

@@ -58,10 +58,7 @@ impl Reflection {
     }
 
     pub fn constant(&self, name: &str) -> Option<f64> {
-        self.constants
-            .iter()
-            .find(|(other, _)| other == name)
-            .map(|(_, value)| *value)
+        self.constants.iter().find(|(other, _)| other == name).map(|(_, value)| *value)
     }
 }
 
@@ -70,10 +67,7 @@ impl Reflection {
 /// # Errors
 /// [`GpuError::Shader`] with naga's message.
 pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
-    let fault = |message: String| GpuError::Shader {
-        name: name.to_owned(),
-        message,
-    };
+    let fault = |message: String| GpuError::Shader { name: name.to_owned(), message };
     let module = naga::front::wgsl::parse_str(text)
         .map_err(|e| fault(e.emit_to_string_with_path(text, name)))?;
     let capabilities = Capabilities::SUBGROUP | Capabilities::SUBGROUP_BARRIER;
@@ -89,11 +83,8 @@ pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
 /// [`GpuError::Shader`] when the text is not valid.
 pub fn reflect(name: &str, text: &str) -> Result<Reflection, GpuError> {
     let module = validate(name, text)?;
-    let workgroup = module
-        .entry_points
-        .iter()
-        .find(|e| e.name == "main")
-        .map_or([0; 3], |e| e.workgroup_size);
+    let workgroup =
+        module.entry_points.iter().find(|e| e.name == "main").map_or([0; 3], |e| e.workgroup_size);
     Ok(Reflection {
         bindings: bindings(name, &module)?,
         workgroup,
@@ -124,20 +115,11 @@ fn bindings(name: &str, module: &naga::Module) -> Result<Vec<ReflectedBinding>, 
         }
         let inner = &module.types[variable.ty].inner;
         let stride = match inner {
-            TypeInner::Array {
-                stride,
-                size: naga::ArraySize::Dynamic,
-                ..
-            } => *stride,
+            TypeInner::Array { stride, size: naga::ArraySize::Dynamic, .. } => *stride,
             _ => inner.size(module.to_ctx()),
         };
         let name = variable.name.clone().unwrap_or_default();
-        found.push(ReflectedBinding {
-            number: binding.binding,
-            name,
-            access,
-            stride,
-        });
+        found.push(ReflectedBinding { number: binding.binding, name, access, stride });
     }
     found.sort_by_key(|b| b.number);
     Ok(found)
@@ -153,11 +135,7 @@ fn structures(module: &naga::Module) -> Vec<ReflectedStruct> {
         }),
         _ => None,
     };
-    module
-        .types
-        .iter()
-        .filter_map(|(_, ty)| structure(ty))
-        .collect()
+    module.types.iter().filter_map(|(_, ty)| structure(ty)).collect()
 }
 
 fn constants(module: &naga::Module) -> Vec<(String, f64)> {
@@ -169,11 +147,7 @@ fn constants(module: &naga::Module) -> Vec<(String, f64)> {
     };
     let constant =
         |c: &naga::Constant| Some((c.name.clone()?, value(&module.global_expressions[c.init])?));
-    module
-        .constants
-        .iter()
-        .filter_map(|(_, c)| constant(c))
-        .collect()
+    module.constants.iter().filter_map(|(_, c)| constant(c)).collect()
 }
 
 #[cfg(test)]
@@ -188,22 +162,12 @@ mod tests {
         assert_eq!(found.workgroup, [32, 1, 1]);
         assert_eq!(found.constant("WIDTH"), Some(32.0));
         let scale = found.structure("TestScale").expect("declared");
-        assert_eq!(
-            (scale.size, &scale.members[1]),
-            (8, &("count".to_owned(), 4))
-        );
-        let names: Vec<_> = found
-            .bindings
-            .iter()
-            .map(|b| (b.name.as_str(), b.access, b.stride))
-            .collect();
+        assert_eq!((scale.size, &scale.members[1]), (8, &("count".to_owned(), 4)));
+        let names: Vec<_> =
+            found.bindings.iter().map(|b| (b.name.as_str(), b.access, b.stride)).collect();
         assert_eq!(
             names,
-            [
-                ("scale", Access::Uniform, 8),
-                ("x", Access::Read, 4),
-                ("out", Access::ReadWrite, 4)
-            ]
+            [("scale", Access::Uniform, 8), ("x", Access::Read, 4), ("out", Access::ReadWrite, 4)]
         );
     }
 }

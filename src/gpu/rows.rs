@@ -52,9 +52,7 @@ impl<T: Pod> Rows<T> {
         if values.len() == rows * self.length {
             return Ok(values);
         }
-        Err(GpuError::Validation(format!(
-            "a read of {rows} rows past the last"
-        )))
+        Err(GpuError::Validation(format!("a read of {rows} rows past the last")))
     }
 
     /// Sets every byte to zero, before all work submitted later.
@@ -92,14 +90,9 @@ impl Gpu {
         per_part: usize,
     ) -> Result<Rows<T>, GpuError> {
         let sizes = part_sizes(rows, per_part);
-        let parts = sizes
-            .map(|here| self.create(label, here * length))
-            .collect::<Result<_, _>>()?;
-        Ok(Rows {
-            parts,
-            length,
-            per_part,
-        })
+        let parts =
+            sizes.map(|here| self.create(label, here * length)).collect::<Result<_, _>>()?;
+        Ok(Rows { parts, length, per_part })
     }
 }
 
@@ -124,10 +117,7 @@ mod tests {
     fn split_rows_are_written_and_read_as_one() {
         let gpu = Gpu::new("auto").expect("an adapter");
         let rows = gpu.create_rows::<u32>("rows", 7, 3, 3).expect("created");
-        assert_eq!(
-            rows.parts().iter().map(Buffer::len).collect::<Vec<_>>(),
-            [9, 9, 3]
-        );
+        assert_eq!(rows.parts().iter().map(Buffer::len).collect::<Vec<_>>(), [9, 9, 3]);
         let values: Vec<u32> = (0..21).collect();
         rows.write(&values).expect("written");
         assert_eq!(rows.read(7).expect("read"), values);
@@ -144,10 +134,7 @@ mod tests {
     #[test]
     fn a_lower_binding_limit_takes_more_parts() {
         let gpu = Gpu::binding_at_most("auto", 4_096).expect("an adapter");
-        assert_eq!(
-            (gpu.describe().max_binding, gpu.rows_per_part(96)),
-            (4_096, 42)
-        );
+        assert_eq!((gpu.describe().max_binding, gpu.rows_per_part(96)), (4_096, 42));
         assert_eq!(gpu.rows_per_part(10_000), 1);
         assert!(matches!(
             gpu.create::<u32>("too much", 1_025),

@@ -16,13 +16,12 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// # Errors
 /// [`GpuError::Shader`] when there is no such file.
 pub fn source(name: &str) -> Result<&'static str, GpuError> {
-    SOURCES
-        .binary_search_by(|(other, _)| (*other).cmp(name))
-        .map(|index| SOURCES[index].1)
-        .map_err(|_| GpuError::Shader {
+    SOURCES.binary_search_by(|(other, _)| (*other).cmp(name)).map(|index| SOURCES[index].1).map_err(
+        |_| GpuError::Shader {
             name: name.to_owned(),
             message: "no such file in shaders/".to_owned(),
-        })
+        },
+    )
 }
 
 /// The text of a shader with every `#import` replaced, each file once, and the given constants set.
@@ -82,8 +81,7 @@ fn set_constant(text: &str, constant: &str, value: u32) -> Option<String> {
 /// The text before the `=` of a line that declares this constant.
 fn declaration<'a>(line: &'a str, constant: &str) -> Option<&'a str> {
     let rest = line.strip_prefix("const ")?.strip_prefix(constant)?;
-    rest.starts_with([':', ' '])
-        .then(|| line.split('=').next())?
+    rest.starts_with([':', ' ']).then(|| line.split('=').next())?
 }
 
 #[cfg(test)]
@@ -102,10 +100,7 @@ mod tests {
         }
         // A shared file is a fragment, which is only valid where it is imported.
         let unused: Vec<_> = names().filter(|name| !used.contains(name)).collect();
-        assert!(
-            used.len() >= 3 && unused.is_empty(),
-            "not imported: {unused:?}"
-        );
+        assert!(used.len() >= 3 && unused.is_empty(), "not imported: {unused:?}");
     }
 
     #[test]
@@ -126,13 +121,7 @@ mod tests {
     fn a_constant_is_replaced_and_an_unknown_one_is_refused() {
         let text = expand("shared/test_axpy", &[("ADD", 7)]).expect("expands");
         assert!(text.contains("const ADD: u32 = 7;"));
-        assert!(matches!(
-            expand("shared/test_axpy", &[("AD", 7)]),
-            Err(GpuError::Shader { .. })
-        ));
-        assert!(matches!(
-            expand("shared/nothing", &[]),
-            Err(GpuError::Shader { .. })
-        ));
+        assert!(matches!(expand("shared/test_axpy", &[("AD", 7)]), Err(GpuError::Shader { .. })));
+        assert!(matches!(expand("shared/nothing", &[]), Err(GpuError::Shader { .. })));
     }
 }

@@ -21,10 +21,7 @@ impl Tally {
     pub(crate) fn reserve(self: &Arc<Self>, bytes: u64) -> Reservation {
         let now = self.now.fetch_add(bytes, Ordering::Relaxed) + bytes;
         self.peak.fetch_max(now, Ordering::Relaxed);
-        Reservation {
-            tally: self.clone(),
-            bytes,
-        }
+        Reservation { tally: self.clone(), bytes }
     }
 
     /// Bytes in use, and the peak.

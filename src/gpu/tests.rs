@@ -2,10 +2,8 @@
 
 use super::*;
 
-const AXPY: Kernel = Kernel::new(
-    "shared/test_axpy",
-    &[uniform("scale"), read("x"), read_write("out")],
-);
+const AXPY: Kernel =
+    Kernel::new("shared/test_axpy", &[uniform("scale"), read("x"), read_write("out")]);
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -22,37 +20,17 @@ fn gpu() -> Gpu {
 fn a_recording_can_be_submitted_again_and_sees_new_uniforms() {
     let gpu = gpu();
     let n = 70_000;
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 2.0,
-                count: n as u32,
-            }],
-        )
-        .unwrap();
-    let x = gpu
-        .upload("x", &(0..n).map(|i| i as f32).collect::<Vec<_>>())
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: n as u32 }]).unwrap();
+    let x = gpu.upload("x", &(0..n).map(|i| i as f32).collect::<Vec<_>>()).unwrap();
     let out = gpu.create::<f32>("out", n).unwrap();
     let mut recorder = gpu.recorder();
-    recorder
-        .dispatch_items(&AXPY, &[&scale, &x, &out], n)
-        .unwrap();
+    recorder.dispatch_items(&AXPY, &[&scale, &x, &out], n).unwrap();
     let recording = recorder.finish();
     recording.submit().unwrap();
-    scale
-        .write(&[Scale {
-            factor: 1.0,
-            count: 10,
-        }])
-        .unwrap();
+    scale.write(&[Scale { factor: 1.0, count: 10 }]).unwrap();
     recording.submit().unwrap();
     let values = out.read().unwrap();
-    assert_eq!(
-        (values[9], values[10], values[n - 1]),
-        (27.0, 20.0, 2.0 * (n - 1) as f32)
-    );
+    assert_eq!((values[9], values[10], values[n - 1]), (27.0, 20.0, 2.0 * (n - 1) as f32));
     out.clear().unwrap();
     assert_eq!(out.start_read(2).unwrap().wait().unwrap(), [0.0, 0.0]);
 }
@@ -60,26 +38,14 @@ fn a_recording_can_be_submitted_again_and_sees_new_uniforms() {
 #[test]
 fn dispatches_and_indirect_counts_see_earlier_results() {
     let gpu = gpu();
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 1.0,
-                count: 128,
-            }],
-        )
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 1.0, count: 128 }]).unwrap();
     let x = gpu.upload("x", &[1.0_f32; 128]).unwrap();
     let out = gpu.create::<f32>("out", 128).unwrap();
     let twice = gpu.create::<f32>("twice", 128).unwrap();
     let arguments = gpu.upload("arguments", &[7, 1, 1, 1_u32]).unwrap();
     let mut recorder = gpu.recorder();
-    recorder
-        .dispatch(&AXPY.with(&[("ADD", 5)]), &[&scale, &x, &out], [2, 1, 1])
-        .unwrap();
-    recorder
-        .dispatch_indirect(&AXPY, &[&scale, &out, &twice], &arguments, 1)
-        .unwrap();
+    recorder.dispatch(&AXPY.with(&[("ADD", 5)]), &[&scale, &x, &out], [2, 1, 1]).unwrap();
+    recorder.dispatch_indirect(&AXPY, &[&scale, &out, &twice], &arguments, 1).unwrap();
     recorder.submit().unwrap();
     let values = twice.read().unwrap();
     assert_eq!((values[0], values[63], values[64]), (5.0, 5.0, 0.0));
@@ -88,28 +54,16 @@ fn dispatches_and_indirect_counts_see_earlier_results() {
 #[test]
 fn bind_groups_are_reused_until_a_buffer_is_dropped() {
     let gpu = gpu();
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 3.0,
-                count: 2,
-            }],
-        )
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 3.0, count: 2 }]).unwrap();
     let x = gpu.upload("x", &[1.0_f32, 2.0]).unwrap();
     let record = |out: &Buffer<f32>| {
         let mut recorder = gpu.recorder();
-        recorder
-            .dispatch_items(&AXPY, &[&scale, &x, out], 2)
-            .unwrap();
+        recorder.dispatch_items(&AXPY, &[&scale, &x, out], 2).unwrap();
         recorder.submit().unwrap();
         out.read().unwrap()
     };
-    let (first, second) = (
-        gpu.create::<f32>("out", 2).unwrap(),
-        gpu.create::<f32>("out", 2).unwrap(),
-    );
+    let (first, second) =
+        (gpu.create::<f32>("out", 2).unwrap(), gpu.create::<f32>("out", 2).unwrap());
     let clone = first.clone();
     // The kernel adds to the existing values.
     let sums = [&first, &first, &clone, &second, &second].map(record);
@@ -126,34 +80,19 @@ fn bind_groups_are_reused_until_a_buffer_is_dropped() {
 #[test]
 fn a_dispatch_refuses_missing_wrong_and_aliased_buffers() {
     let gpu = gpu();
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 1.0,
-                count: 1,
-            }],
-        )
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 1.0, count: 1 }]).unwrap();
     let x = gpu.upload("x", &[1.0_f32]).unwrap();
     let odd = gpu.upload("odd", &[[1_u8; 3]; 4]).unwrap();
     let mut recorder = gpu.recorder();
     let mut refused = |buffers: &[&dyn Bind]| {
         let result = recorder.dispatch(&AXPY, buffers, [1, 1, 1]);
-        assert!(
-            matches!(result, Err(GpuError::Binding { .. })),
-            "{result:?}"
-        );
+        assert!(matches!(result, Err(GpuError::Binding { .. })), "{result:?}");
     };
     refused(&[&scale, &x]);
     refused(&[&scale, &x, &x]);
     refused(&[&scale, &odd, &x]);
     refused(&[&x, &odd, &x]);
-    assert!(
-        recorder
-            .dispatch(&AXPY, &[&scale, &x, &x], [70_000, 1, 1])
-            .is_err()
-    );
+    assert!(recorder.dispatch(&AXPY, &[&scale, &x, &x], [70_000, 1, 1]).is_err());
     gpu.check().unwrap();
 }
 
@@ -170,22 +109,10 @@ fn an_unknown_adapter_is_refused_with_the_available_names() {
 fn a_buffer_above_the_limit_and_a_write_past_the_end_are_errors() {
     let gpu = gpu();
     let limit = gpu.describe().max_binding as usize;
-    assert!(matches!(
-        gpu.create::<u8>("huge", limit + 1),
-        Err(GpuError::TooLarge { .. })
-    ));
+    assert!(matches!(gpu.create::<u8>("huge", limit + 1), Err(GpuError::TooLarge { .. })));
     let small = gpu.create::<u32>("small", 2).unwrap();
-    assert!(matches!(
-        small.write_at(1, &[1, 2]),
-        Err(GpuError::Validation(_))
-    ));
-    assert!(
-        gpu.create::<u32>("empty", 0)
-            .unwrap()
-            .read()
-            .unwrap()
-            .is_empty()
-    );
+    assert!(matches!(small.write_at(1, &[1, 2]), Err(GpuError::Validation(_))));
+    assert!(gpu.create::<u32>("empty", 0).unwrap().read().unwrap().is_empty());
 }
 
 #[test]
@@ -194,10 +121,7 @@ fn a_lost_device_is_always_an_error_and_never_a_panic() {
     let x = gpu.upload("x", &[1.0_f32]).unwrap();
     gpu.lose();
     assert!(matches!(x.read(), Err(GpuError::DeviceLost(_))));
-    assert!(matches!(
-        gpu.create::<f32>("y", 1).map(|_| ()),
-        Err(GpuError::DeviceLost(_))
-    ));
+    assert!(matches!(gpu.create::<f32>("y", 1).map(|_| ()), Err(GpuError::DeviceLost(_))));
     assert!(matches!(gpu.wait(), Err(GpuError::DeviceLost(_))));
     assert!(gpu.recorder().submit().is_err());
 }
@@ -206,31 +130,18 @@ fn a_lost_device_is_always_an_error_and_never_a_panic() {
 fn profiled_kernels_have_a_count_and_a_time() {
     let gpu = gpu();
     let n = 1 << 20;
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 2.0,
-                count: n as u32,
-            }],
-        )
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: n as u32 }]).unwrap();
     let x = gpu.create::<f32>("x", n).unwrap();
     let out = gpu.create::<f32>("out", n).unwrap();
     gpu.profile(true);
     for _ in 0..2 {
         let mut recorder = gpu.recorder();
-        recorder
-            .dispatch_items(&AXPY, &[&scale, &x, &out], n)
-            .unwrap();
+        recorder.dispatch_items(&AXPY, &[&scale, &x, &out], n).unwrap();
         recorder.submit().unwrap();
     }
     let times = gpu.profiled();
     if gpu.describe().timestamps {
-        assert_eq!(
-            (times.len(), times[0].0, times[0].1.dispatches),
-            (1, "shared/test_axpy", 2)
-        );
+        assert_eq!((times.len(), times[0].0, times[0].1.dispatches), (1, "shared/test_axpy", 2));
         assert!(times[0].1.total >= 2 * times[0].1.shortest && !times[0].1.shortest.is_zero());
     }
     gpu.profile(false);
@@ -240,22 +151,12 @@ fn profiled_kernels_have_a_count_and_a_time() {
 #[test]
 fn a_submission_larger_than_a_query_set_is_timed_completely() {
     let gpu = gpu();
-    let scale = gpu
-        .upload(
-            "scale",
-            &[Scale {
-                factor: 2.0,
-                count: 1,
-            }],
-        )
-        .unwrap();
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: 1 }]).unwrap();
     let x = gpu.upload("x", &[1.0_f32]).unwrap();
     let out = gpu.create::<f32>("out", 1).unwrap();
     let mut recorder = gpu.recorder();
     for _ in 0..2_100 {
-        recorder
-            .dispatch_items(&AXPY, &[&scale, &x, &out], 1)
-            .unwrap();
+        recorder.dispatch_items(&AXPY, &[&scale, &x, &out], 1).unwrap();
     }
     gpu.profile(true);
     recorder.submit().unwrap();
@@ -274,8 +175,5 @@ fn memory_counts_live_buffers_and_the_peak() {
     assert_eq!(gpu.memory().peak - before, 6_000);
     gpu.forget_peak();
     drop(copy);
-    assert_eq!(
-        (gpu.memory().now, gpu.memory().peak - before),
-        (before, 4_000)
-    );
+    assert_eq!((gpu.memory().now, gpu.memory().peak - before), (before, 4_000));
 }

@@ -34,11 +34,7 @@ impl Timer {
 
     pub(crate) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         let count = 2 * self.names.borrow().len() as u32;
-        for (set, first) in self
-            .queries
-            .iter()
-            .zip((0..count).step_by(MAX_QUERIES as usize))
-        {
+        for (set, first) in self.queries.iter().zip((0..count).step_by(MAX_QUERIES as usize)) {
             let inside = (count - first).min(MAX_QUERIES);
             encoder.resolve_query_set(set, 0..inside, &self.resolved, 8 * u64::from(first));
         }
@@ -52,37 +48,21 @@ impl Gpu {
     /// Measures nothing without timestamps on the adapter ([`crate::AdapterInfo::timestamps`]).
     pub fn profile(&self, on: bool) {
         let on = on && self.describe().timestamps;
-        *self
-            .inner
-            .profile
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner) = on.then(Profile::new);
+        *self.inner.profile.lock().unwrap_or_else(PoisonError::into_inner) = on.then(Profile::new);
     }
 
     /// The times of each kernel since [`Gpu::profile`], the longest first.
     pub fn profiled(&self) -> Vec<(&'static str, KernelTime)> {
-        let profile = self
-            .inner
-            .profile
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        let mut times: Vec<_> = profile
-            .iter()
-            .flatten()
-            .map(|(&name, &time)| (name, time))
-            .collect();
+        let profile = self.inner.profile.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut times: Vec<_> =
+            profile.iter().flatten().map(|(&name, &time)| (name, time)).collect();
         times.sort_by_key(|(_, time)| std::cmp::Reverse(time.total));
         times
     }
 
     /// A timer for a submission of this many dispatches, if profiling is on.
     pub(crate) fn timer(&self, dispatches: usize) -> Option<Timer> {
-        let on = self
-            .inner
-            .profile
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .is_some();
+        let on = self.inner.profile.lock().unwrap_or_else(PoisonError::into_inner).is_some();
         if !on || dispatches == 0 {
             return None;
         }
@@ -116,28 +96,20 @@ impl Gpu {
     /// Waits for the submission and adds its times.
     pub(crate) fn collect(&self, timer: Timer) -> Result<(), GpuError> {
         let (sender, mapped) = mpsc::channel();
-        timer
-            .staging
-            .map_async(wgpu::MapMode::Read, .., move |result| {
-                // The receiver is gone if the wait below failed.
-                let _ = sender.send(result.is_ok());
-            });
+        timer.staging.map_async(wgpu::MapMode::Read, .., move |result| {
+            // The receiver is gone if the wait below failed.
+            let _ = sender.send(result.is_ok());
+        });
         self.wait()?;
         if mapped.recv() != Ok(true) {
-            return Err(GpuError::DeviceLost(
-                "timestamps could not be read".to_owned(),
-            ));
+            return Err(GpuError::DeviceLost("timestamps could not be read".to_owned()));
         }
         let view = timer
             .staging
             .get_mapped_range(..)
             .map_err(|error| GpuError::Validation(format!("timestamps: {error}")))?;
         let period = f64::from(self.inner.queue.get_timestamp_period());
-        let mut profile = self
-            .inner
-            .profile
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut profile = self.inner.profile.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(profile) = profile.as_mut() else {
             return Ok(());
         };
@@ -146,11 +118,7 @@ impl Gpu {
             let time =
                 Duration::from_nanos((ticks[1].saturating_sub(ticks[0]) as f64 * period) as u64);
             let entry = profile.entry(name).or_default();
-            entry.shortest = if entry.dispatches == 0 {
-                time
-            } else {
-                entry.shortest.min(time)
-            };
+            entry.shortest = if entry.dispatches == 0 { time } else { entry.shortest.min(time) };
             entry.dispatches += 1;
             entry.total += time;
         }

@@ -47,18 +47,9 @@ struct Extras {
 impl Extras {
     /// None, those of the presets `preview` and `standard`, and those of `paper`.
     const ALL: [Self; 3] = [
-        Self {
-            noise: NoiseMode::Off,
-            shake: false,
-        },
-        Self {
-            noise: NoiseMode::Off,
-            shake: true,
-        },
-        Self {
-            noise: NoiseMode::Paper,
-            shake: false,
-        },
+        Self { noise: NoiseMode::Off, shake: false },
+        Self { noise: NoiseMode::Off, shake: true },
+        Self { noise: NoiseMode::Paper, shake: false },
     ];
 
     fn name(self) -> String {
@@ -66,31 +57,17 @@ impl Extras {
             NoiseMode::Off => "off",
             NoiseMode::Paper => "paper",
         };
-        format!(
-            "noise {noise}{}",
-            if self.shake { " and shake" } else { "" }
-        )
+        format!("noise {noise}{}", if self.shake { " and shake" } else { "" })
     }
 }
 
 /// One case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plan {
-    Train {
-        size: (usize, usize),
-        gaussians: usize,
-        extras: Extras,
-    },
-    Render {
-        size: (usize, usize),
-        gaussians: usize,
-    },
-    Ssim {
-        size: (usize, usize),
-    },
-    Sort {
-        keys: usize,
-    },
+    Train { size: (usize, usize), gaussians: usize, extras: Extras },
+    Render { size: (usize, usize), gaussians: usize },
+    Ssim { size: (usize, usize) },
+    Sort { keys: usize },
 }
 
 impl Plan {
@@ -100,11 +77,7 @@ impl Plan {
         let mut plans = Vec::new();
         for &size in &options.sizes {
             for &gaussians in &options.gaussians {
-                plans.push(Self::Train {
-                    size,
-                    gaussians,
-                    extras: Extras::ALL[0],
-                });
+                plans.push(Self::Train { size, gaussians, extras: Extras::ALL[0] });
                 plans.push(Self::Render { size, gaussians });
             }
             if let Some(&gaussians) = options.gaussians.first() {
@@ -122,21 +95,10 @@ impl Plan {
 
     fn name(&self) -> String {
         match *self {
-            Self::Train {
-                size: (w, h),
-                gaussians,
-                extras,
-            } => {
-                format!(
-                    "train {w}x{h}, {} Gaussians, {}",
-                    short(gaussians),
-                    extras.name()
-                )
+            Self::Train { size: (w, h), gaussians, extras } => {
+                format!("train {w}x{h}, {} Gaussians, {}", short(gaussians), extras.name())
             }
-            Self::Render {
-                size: (w, h),
-                gaussians,
-            } => {
+            Self::Render { size: (w, h), gaussians } => {
                 format!("render {w}x{h}, {} Gaussians", short(gaussians))
             }
             Self::Ssim { size: (w, h) } => format!("ssim {w}x{h}"),
@@ -147,11 +109,7 @@ impl Plan {
     fn measure(&self, bench: &Bench<'_>) -> Result<Case, BenchError> {
         let name = self.name();
         match *self {
-            Self::Train {
-                size,
-                gaussians,
-                extras,
-            } => {
+            Self::Train { size, gaussians, extras } => {
                 let mut workload =
                     Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
                 if extras.shake {
@@ -164,9 +122,9 @@ impl Plan {
                 bench.render(name, &workload)
             }
             Self::Ssim { size } => bench.case(name, "ssim", || Similarity::new(bench.gpu, size)),
-            Self::Sort { keys } => bench.case(name, "sort", || {
-                Sorting::new(bench.gpu, keys, bench.options.seed)
-            }),
+            Self::Sort { keys } => {
+                bench.case(name, "sort", || Sorting::new(bench.gpu, keys, bench.options.seed))
+            }
         }
     }
 }
@@ -187,11 +145,7 @@ impl Bench<'_> {
             let cancel = self.cancel;
             Ok(Training { stepper, cancel })
         })?;
-        Ok(Case {
-            noise: Some(extras.noise),
-            shake: Some(extras.shake),
-            ..case
-        })
+        Ok(Case { noise: Some(extras.noise), shake: Some(extras.shake), ..case })
     }
 
     fn render(&self, name: String, workload: &Workload) -> Result<Case, BenchError> {
@@ -254,11 +208,7 @@ pub fn run(
     if options.budget.steps > MOST_STEPS {
         return Err(BenchError::Steps(options.budget.steps));
     }
-    let bench = Bench {
-        gpu,
-        options,
-        cancel,
-    };
+    let bench = Bench { gpu, options, cancel };
     let plans = Plan::all(options);
     let mut report = Report::new(Machine::of(gpu), options);
     report.roofline.add(roofline::measure(gpu)?);
@@ -285,11 +235,7 @@ pub fn run_scene(
     cancel: &CancelToken,
 ) -> Result<(), BenchError> {
     let options = report.options.clone();
-    let bench = Bench {
-        gpu,
-        options: &options,
-        cancel,
-    };
+    let bench = Bench { gpu, options: &options, cancel };
     let total = Extras::ALL.len() + 1;
     for (done, extras) in Extras::ALL.into_iter().enumerate() {
         cancel.check()?;

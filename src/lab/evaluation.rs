@@ -99,11 +99,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     let registered = register(&request, &renderer, &scene, &views)?;
     let seen = seen_masks(&request, &names, &renderer)?;
     let scored = scored_masks(&request, &placed, &views)?;
-    let mut judge = Judge {
-        renderer: &renderer,
-        scene: &scene,
-        lpips: request.lpips,
-    };
+    let mut judge = Judge { renderer: &renderer, scene: &scene, lpips: request.lpips };
     let (mut rows, mut pictures) = (Vec::new(), Vec::new());
     let masks = scored.iter().zip(&seen);
     for ((view, camera), (scored, seen)) in views.into_iter().zip(&registered).zip(masks) {
@@ -138,10 +134,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
         registered: mean_of(|row| &row.registered),
         views: rows,
     };
-    Ok(Judged {
-        evaluation,
-        pictures,
-    })
+    Ok(Judged { evaluation, pictures })
 }
 
 /// Renders and scores test views.
@@ -163,9 +156,8 @@ impl Judge<'_> {
         let render = self.renderer.render_scene(self.scene, camera)?;
         let truth = &view.photograph;
         let scores = score::scores(&render, truth, scored, seen);
-        let mut scores = scores.ok_or_else(|| EvaluationError::NothingScored {
-            view: view.name.clone(),
-        })?;
+        let mut scores =
+            scores.ok_or_else(|| EvaluationError::NothingScored { view: view.name.clone() })?;
         if let Some(lpips) = &mut self.lpips {
             // Pixels that are not scored are replaced by the truth.
             let image = scored.composite(&render, truth);
@@ -219,10 +211,7 @@ fn scored_masks(
 ) -> Result<Vec<Mask>, EvaluationError> {
     let mask = |(placed, view): (&Placed<'_>, &TruthView)| match request.masks {
         Some(folder) => placed.mask(folder, request.subject.size()),
-        None => Ok(Mask::full(
-            view.photograph.width(),
-            view.photograph.height(),
-        )),
+        None => Ok(Mask::full(view.photograph.width(), view.photograph.height())),
     };
     placed.iter().zip(views).map(mask).collect()
 }
@@ -237,12 +226,8 @@ fn seen_masks(
     let tie = request.truth.tie(from)?;
     let witnesses = Witnesses::new(renderer, from)?;
     let placed = request.truth.placed(names, from, &tie)?;
-    let cameras = placed
-        .iter()
-        .map(|placed| placed.camera(request.subject.size()));
-    cameras
-        .map(|camera| witnesses.mask(renderer, &camera))
-        .collect()
+    let cameras = placed.iter().map(|placed| placed.camera(request.subject.size()));
+    cameras.map(|camera| witnesses.mask(renderer, &camera)).collect()
 }
 
 /// Distance by which a point at `depth` in the middle of a camera's picture moves to that of
@@ -252,9 +237,7 @@ fn moved_px(before: &Camera, after: &Camera, depth: f64) -> f64 {
     let diagonal = (k.width as f64).hypot(k.height as f64);
     let point = before.centre() + depth * before.forward();
     let ends = before.project(point).zip(after.project(point));
-    ends.map_or(diagonal, |((from, _), (to, _))| {
-        (to - from).length().min(diagonal)
-    })
+    ends.map_or(diagonal, |((from, _), (to, _))| (to - from).length().min(diagonal))
 }
 
 #[cfg(test)]

@@ -246,9 +246,8 @@ mod tests {
     fn disk_errors_are_retried_for_minutes() {
         let limits = Limits::default();
         let all = limits.attempts_without_progress;
-        let waited: i64 = (1..all)
-            .map(|failures| limits.retry_wait_ms(ErrorKind::Io, failures))
-            .sum();
+        let waited: i64 =
+            (1..all).map(|failures| limits.retry_wait_ms(ErrorKind::Io, failures)).sum();
         assert!(waited >= 5 * 60_000, "given up after {waited} ms");
         assert_eq!(limits.retry_wait_ms(ErrorKind::Internal, 2), 8_000);
     }

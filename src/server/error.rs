@@ -141,10 +141,7 @@ impl ServerError {
 
     /// Returns a constructor of [`ServerError::Io`] for `path`, for `map_err`.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
-        move |source| Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        move |source| Self::Io { path: path.to_owned(), source }
     }
 }
 

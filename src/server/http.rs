@@ -1,9 +1,6 @@
 //! The HTTP API, version 1, and the dashboard.
 
-#![allow(
-    unused_qualifications,
-    reason = "the code that utoipa's attributes write has them"
-)]
+#![allow(unused_qualifications, reason = "the code that utoipa's attributes write has them")]
 
 mod access;
 mod allowance;
@@ -87,10 +84,7 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; st
 /// Every route.
 pub fn router(app: Arc<App>) -> Router {
     let small = Router::new()
-        .route(
-            "/v1/captures/{id}",
-            get(captures::show).delete(captures::delete),
-        )
+        .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
         .merge(of_a_job())
         .merge(of_webhooks())
         .route("/v1/options", get(options::show))
@@ -127,10 +121,7 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(tus::mark))
-        .layer(header(
-            header::CONTENT_SECURITY_POLICY,
-            CONTENT_SECURITY_POLICY,
-        ))
+        .layer(header(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY))
         .layer(header(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(header(header::REFERRER_POLICY, "no-referrer"))
         .layer(header(header::CACHE_CONTROL, "no-cache"))
@@ -144,10 +135,7 @@ pub fn router(app: Arc<App>) -> Router {
 /// Every route below a job.
 fn of_a_job() -> Router<Arc<App>> {
     Router::new()
-        .route(
-            "/v1/jobs/{id}",
-            get(jobs::show).patch(rename::rename).delete(jobs::delete),
-        )
+        .route("/v1/jobs/{id}", get(jobs::show).patch(rename::rename).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(retry::retry))
         .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))
@@ -175,10 +163,7 @@ fn of_webhooks() -> Router<Arc<App>> {
         .route(WEBHOOK, delete(webhooks::delete))
         .route("/v1/webhooks/{id}/test", post(webhooks::test))
         .route("/v1/webhooks/{id}/deliveries", get(webhooks::deliveries))
-        .route(
-            "/v1/webhooks/{id}/deliveries/{delivery}/redeliver",
-            post(webhooks::redeliver),
-        )
+        .route("/v1/webhooks/{id}/deliveries/{delivery}/redeliver", post(webhooks::redeliver))
 }
 
 /// Routes that take bodies of any size: the largest upload is checked while it streams; no handler
@@ -203,21 +188,15 @@ fn uploads() -> Router<Arc<App>> {
 }
 
 fn from_elsewhere(_: ProtectionError) -> Response {
-    Problem::new(
-        StatusCode::FORBIDDEN,
-        "cross_origin",
-        "A page of another site sent this request.",
-    )
-    .hint("Use the dashboard of this server, or a program with a token.")
-    .into_response()
+    Problem::new(StatusCode::FORBIDDEN, "cross_origin", "A page of another site sent this request.")
+        .hint("Use the dashboard of this server, or a program with a token.")
+        .into_response()
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
 fn panicked(fault: Box<dyn Any + Send + 'static>) -> Response {
     let text = fault.downcast_ref::<String>().map(String::as_str);
-    let text = text
-        .or_else(|| fault.downcast_ref::<&str>().copied())
-        .unwrap_or("no message");
+    let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no message");
     tracing::error!(text, "a handler panicked");
     Problem::internal().into_response()
 }

@@ -76,26 +76,14 @@ static RULES: [Rule; 11] = [
         what: "an upload that is empty or has become a capture",
         when: |_| true,
     },
-    Rule {
-        name: Name::OldOrphans,
-        what: "moved aside long ago",
-        when: |_| true,
-    },
+    Rule { name: Name::OldOrphans, what: "moved aside long ago", when: |_| true },
     Rule {
         name: Name::Orphans,
         what: "moved to unnamed/: the database does not know it",
         when: |_| true,
     },
-    Rule {
-        name: Name::Unfinished,
-        what: "unfinished",
-        when: |_| true,
-    },
-    Rule {
-        name: Name::Caches,
-        what: "cached long ago",
-        when: |_| true,
-    },
+    Rule { name: Name::Unfinished, what: "unfinished", when: |_| true },
+    Rule { name: Name::Caches, what: "cached long ago", when: |_| true },
     Rule {
         name: Name::Deliveries,
         what: "a webhook delivery from long ago",

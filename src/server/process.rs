@@ -105,13 +105,7 @@ impl Group {
         if let Some(stderr) = stderr {
             tokio::spawn(read_lines(stderr, Line::Error, sender));
         }
-        Ok(Self {
-            child,
-            ended: false,
-            pid,
-            stdin,
-            lines,
-        })
+        Ok(Self { child, ended: false, pid, stdin, lines })
     }
 
     /// The id of the process and of its group.
@@ -150,10 +144,7 @@ impl Group {
     /// Asks the group to end, and kills it after `grace`. Returns once the process is gone.
     pub async fn stop(&mut self, grace: Duration) {
         self.signal(Signal::TERM);
-        if tokio::time::timeout(grace, self.child.wait())
-            .await
-            .is_err()
-        {
+        if tokio::time::timeout(grace, self.child.wait()).await.is_err() {
             self.signal(Signal::KILL);
             if let Err(error) = self.child.wait().await {
                 tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
@@ -185,11 +176,7 @@ async fn read_lines(
     let mut cut = false;
     loop {
         bytes.clear();
-        match (&mut reader)
-            .take(LONGEST_LINE)
-            .read_until(b'\n', &mut bytes)
-            .await
-        {
+        match (&mut reader).take(LONGEST_LINE).read_until(b'\n', &mut bytes).await {
             Ok(0) | Err(_) => return,
             Ok(_) => {}
         }
@@ -200,11 +187,7 @@ async fn read_lines(
             continue;
         }
         let text = String::from_utf8_lossy(&bytes);
-        if sender
-            .send(wrap(text.trim_end_matches(['\n', '\r']).to_owned()))
-            .await
-            .is_err()
-        {
+        if sender.send(wrap(text.trim_end_matches(['\n', '\r']).to_owned())).await.is_err() {
             return;
         }
     }
@@ -217,10 +200,7 @@ mod tests {
     use super::*;
 
     fn shell(script: &str) -> Vec<OsString> {
-        ["/bin/sh", "-c", script]
-            .into_iter()
-            .map(OsString::from)
-            .collect()
+        ["/bin/sh", "-c", script].into_iter().map(OsString::from).collect()
     }
 
     #[tokio::test]
@@ -241,17 +221,12 @@ mod tests {
     async fn stopping_kills_grandchildren_that_ignore_sigterm() {
         let script = "trap '' TERM; sleep 60 & echo $!; wait; wait";
         let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
-        let Some(Line::Output(grandchild)) = group.next_line().await else {
-            panic!("no pid")
-        };
+        let Some(Line::Output(grandchild)) = group.next_line().await else { panic!("no pid") };
         let start = Instant::now();
         group.stop(Duration::from_millis(200)).await;
         assert!(start.elapsed() < Duration::from_secs(2));
         tokio::time::sleep(Duration::from_millis(100)).await;
         let state = std::fs::read_to_string(format!("/proc/{grandchild}/stat")).unwrap_or_default();
-        assert!(
-            state.is_empty() || state.contains(") Z "),
-            "the grandchild lives: {state}"
-        );
+        assert!(state.is_empty() || state.contains(") Z "), "the grandchild lives: {state}");
     }
 }

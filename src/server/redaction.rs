@@ -11,12 +11,7 @@ pub fn without_paths(text: &str) -> String {
         let end = rest.find(ends_a_path).unwrap_or(rest.len());
         let path = rest[..end].trim_end_matches([':', '.']);
         if begins && path.len() > 1 {
-            told.push_str(
-                path.trim_end_matches('/')
-                    .rsplit('/')
-                    .next()
-                    .unwrap_or(path),
-            );
+            told.push_str(path.trim_end_matches('/').rsplit('/').next().unwrap_or(path));
             rest = &rest[path.len()..];
             before = '/';
         } else {
@@ -39,10 +34,7 @@ mod tests {
     #[test]
     fn only_absolute_paths_are_shortened_to_names() {
         for (text, told) in [
-            (
-                "/srv/fled/jobs/7/output/scene.ply: No such file",
-                "scene.ply: No such file",
-            ),
+            ("/srv/fled/jobs/7/output/scene.ply: No such file", "scene.ply: No such file"),
             ("cannot read `/srv/a/b.json`.", "cannot read `b.json`."),
             ("colmap (/usr/bin/colmap) 3.9", "colmap (colmap) 3.9"),
             ("--out=/srv/x/ failed", "--out=x failed"),

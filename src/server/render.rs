@@ -123,13 +123,7 @@ pub struct Renderers {
 impl Renderers {
     /// Nothing is started before the first request.
     pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
-        Self {
-            command,
-            timeout,
-            grace,
-            process: Arc::default(),
-            turns: Turns::new(QUEUE),
-        }
+        Self { command, timeout, grace, process: Arc::default(), turns: Turns::new(QUEUE) }
     }
 
     /// Renders one picture to `request.out`. Clients take turns; each has its own in the order of
@@ -156,9 +150,7 @@ impl Renderers {
                 drop(tokio::fs::remove_file(&out).await);
             }
         });
-        answer
-            .await
-            .unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
+        answer.await.unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
     }
 
     /// Ends the process.

@@ -50,12 +50,9 @@ impl Server {
         let opened = open(&config).await?;
         guard(&config, &opened.store).await?;
         let name = config.listen.to_string();
-        let listener = TcpListener::bind(config.listen)
-            .await
-            .map_err(ServerError::io(Path::new(&name)))?;
-        let address = listener
-            .local_addr()
-            .map_err(ServerError::io(Path::new(&name)))?;
+        let listener =
+            TcpListener::bind(config.listen).await.map_err(ServerError::io(Path::new(&name)))?;
+        let address = listener.local_addr().map_err(ServerError::io(Path::new(&name)))?;
         let app = opened.app(config, true).await;
         for job in app.store.jobs_with_video_files().await? {
             fetch_job(&app, &job).await?;
@@ -65,18 +62,8 @@ impl Server {
         tasks.spawn(keep_telling(app.clone()));
         let turns = spawn_shared(&app, &mut tasks, true);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
-        tasks.spawn(serve_connections(
-            listener,
-            router(app.clone()),
-            limits,
-            shutdown,
-        ));
-        Ok(Self {
-            address: Some(address),
-            app,
-            turns,
-            tasks,
-        })
+        tasks.spawn(serve_connections(listener, router(app.clone()), limits, shutdown));
+        Ok(Self { address: Some(address), app, turns, tasks })
     }
 
     /// Opens the data directory and the database and runs jobs, without an API of its own.
@@ -87,12 +74,7 @@ impl Server {
         let mut tasks = JoinSet::new();
         let app = open(&config).await?.app(config, false).await;
         let turns = spawn_shared(&app, &mut tasks, false);
-        Ok(Self {
-            address: None,
-            app,
-            turns,
-            tasks,
-        })
+        Ok(Self { address: None, app, turns, tasks })
     }
 
     /// The address it listens on, if it does.
@@ -109,10 +91,7 @@ impl Server {
         tokio::join!(jobs, requests);
         // Do not wait for a render: its process ends with this one.
         let grace = app.limits.grace;
-        if tokio::time::timeout(grace, app.renderers.stop())
-            .await
-            .is_err()
-        {
+        if tokio::time::timeout(grace, app.renderers.stop()).await.is_err() {
             tracing::info!("a picture was still being rendered");
         }
         if app.config.about.is_some()
@@ -166,18 +145,9 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     };
     if !left.is_empty() {
         let orphans = kill_orphans(&left);
-        tracing::info!(
-            jobs = left.len(),
-            orphans,
-            "continuing jobs of an earlier server"
-        );
+        tracing::info!(jobs = left.len(), orphans, "continuing jobs of an earlier server");
     }
-    Ok(Opened {
-        data,
-        store,
-        blob_cache: BlobCache::new(blobs),
-        worker,
-    })
+    Ok(Opened { data, store, blob_cache: BlobCache::new(blobs), worker })
 }
 
 impl Opened {
@@ -211,11 +181,7 @@ fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSe
     for turn in 0..u32::try_from(app.config.workers).unwrap_or(u32::MAX) {
         turns.spawn(worker::work(app.clone(), JobKind::Scene, turn.to_string()));
     }
-    turns.spawn(worker::work(
-        app.clone(),
-        JobKind::Video,
-        "video".to_owned(),
-    ));
+    turns.spawn(worker::work(app.clone(), JobKind::Video, "video".to_owned()));
     turns
 }
 
@@ -260,10 +226,7 @@ pub async fn work(config: ServeConfig) -> Result<()> {
 
 /// Waits for a signal, then stops.
 async fn until_told(server: Server) -> Result<()> {
-    let io = |source| ServerError::Io {
-        path: "signals".into(),
-        source,
-    };
+    let io = |source| ServerError::Io { path: "signals".into(), source };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io)?;
     tokio::select! {
@@ -285,19 +248,14 @@ mod tests {
     #[tokio::test]
     async fn a_directory_with_its_own_files_is_not_taken_for_a_cache() {
         let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
+        let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         keep_capture(&store, "c", None, &[]).await;
         store.close().await;
         let listen = ([127, 0, 0, 1], 0).into();
         let mut config = ServeConfig::new(dir.path().into(), listen, 0).expect("a program");
         config.files = Some(dir.path().join("store").display().to_string());
         let refused = Server::start(config.clone()).await;
-        assert!(
-            matches!(&refused, Err(ServerError::NotInStore(id)) if id == "c"),
-            "{refused:?}"
-        );
+        assert!(matches!(&refused, Err(ServerError::NotInStore(id)) if id == "c"), "{refused:?}");
         config.files = None;
         let server = Server::start(config).await.expect("as it was");
         server.stop().await;
@@ -333,10 +291,7 @@ mod tests {
         let second = Server::start(config("second")).await.expect("its own now");
         second.stop().await;
         let refused = Server::start(config("first")).await;
-        assert!(
-            matches!(refused, Err(ServerError::StoreOfAnother(_))),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(ServerError::StoreOfAnother(_))), "{refused:?}");
     }
 
     #[tokio::test]
@@ -360,15 +315,10 @@ mod tests {
         }
         for reachable in ["0.0.0.0:0", "[::]:0"] {
             let refused = start(reachable, false).await;
-            assert!(
-                matches!(refused, Err(ServerError::Unguarded(_))),
-                "{refused:?}"
-            );
+            assert!(matches!(refused, Err(ServerError::Unguarded(_))), "{refused:?}");
         }
         start("0.0.0.0:0", true).await.expect("on purpose");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
+        let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         let token = NewToken {
             id: "1".to_owned(),
             name: String::new(),

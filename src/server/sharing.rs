@@ -146,9 +146,7 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
             return Ok(());
         }
         app.pass(Failpoint::Stored);
-        app.store
-            .keep_files(lease, &pushed.kept, &pushed.gone)
-            .await?;
+        app.store.keep_files(lease, &pushed.kept, &pushed.gone).await?;
         app.pass(Failpoint::Named);
         return Ok(());
     }
@@ -191,9 +189,7 @@ async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
             _ => Ok(()),
         }
     });
-    held.await
-        .unwrap_or_else(|error| Err(io::Error::other(error)))
-        .map_err(ServerError::io(folder))
+    held.await.unwrap_or_else(|error| Err(io::Error::other(error))).map_err(ServerError::io(folder))
 }
 
 /// Scans the metadata of a folder's files, except those that change all the time and say nothing
@@ -204,9 +200,7 @@ async fn look(folder: &Path) -> Result<Look> {
         let mut look = Look::new();
         look_below(&root, &root, &mut look).map(|()| look)
     });
-    look.await
-        .unwrap_or_else(|error| Err(io::Error::other(error)))
-        .map_err(ServerError::io(folder))
+    look.await.unwrap_or_else(|error| Err(io::Error::other(error))).map_err(ServerError::io(folder))
 }
 
 fn look_below(root: &Path, dir: &Path, look: &mut Look) -> io::Result<()> {

@@ -114,44 +114,24 @@ impl Default for Telemetry {
             waiting.clone(),
         );
         registry.register("workers", "Workers, by state", workers.clone());
-        registry.register(
-            "worker_steps_per_second",
-            "Training speed of a worker",
-            steps.clone(),
-        );
-        Self {
-            registry,
-            requests,
-            seconds,
-            jobs,
-            free,
-            lease_age,
-            waiting,
-            workers,
-            steps,
-        }
+        registry.register("worker_steps_per_second", "Training speed of a worker", steps.clone());
+        Self { registry, requests, seconds, jobs, free, lease_age, waiting, workers, steps }
     }
 }
 
 impl Telemetry {
     /// Counts an answer.
     pub fn answered(&self, answered: &Answered, took: Duration) {
-        let route = Route {
-            route: answered.route.clone(),
-        };
+        let route = Route { route: answered.route.clone() };
         self.requests.get_or_create(answered).inc();
-        self.seconds
-            .get_or_create(&route)
-            .observe(took.as_secs_f64());
+        self.seconds.get_or_create(&route).observe(took.as_secs_f64());
     }
 
     /// Returns everything as OpenMetrics text, with the current values of the gauges.
     pub fn text(&self, now: &Now<'_>) -> String {
         for (family, counts) in [(&self.jobs, &now.jobs), (&self.workers, &now.workers)] {
             for (state, count) in counts {
-                let state = State {
-                    state: (*state).to_owned(),
-                };
+                let state = State { state: (*state).to_owned() };
                 family.get_or_create(&state).set(*count);
             }
         }
@@ -163,10 +143,7 @@ impl Telemetry {
         // Remove workers that have left.
         self.steps.clear();
         for (worker, host, speed) in &now.steps {
-            let worker = Worker {
-                worker: worker.clone(),
-                host: host.clone(),
-            };
+            let worker = Worker { worker: worker.clone(), host: host.clone() };
             self.steps.get_or_create(&worker).set(*speed);
         }
         let mut told = String::new();
@@ -185,11 +162,8 @@ mod tests {
     #[test]
     fn metrics_report_what_was_counted() {
         let telemetry = Telemetry::default();
-        let answered = Answered {
-            method: "GET".to_owned(),
-            route: "/v1/jobs/{id}".to_owned(),
-            status: 200,
-        };
+        let answered =
+            Answered { method: "GET".to_owned(), route: "/v1/jobs/{id}".to_owned(), status: 200 };
         for _ in 0..3 {
             telemetry.answered(&answered, Duration::from_millis(7));
         }

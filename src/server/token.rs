@@ -206,10 +206,7 @@ mod tests {
 
     #[test]
     fn every_token_is_unique_and_hidden_from_debug_output() {
-        let (one, other) = (
-            Secret::new().expect("random"),
-            Secret::new().expect("random"),
-        );
+        let (one, other) = (Secret::new().expect("random"), Secret::new().expect("random"));
         assert_ne!(one.reveal(), other.reveal());
         assert_eq!(one.reveal().len(), PREFIX.len() + 2 * BYTES);
         assert!(one.reveal().starts_with("fled_"));
@@ -236,10 +233,7 @@ mod tests {
     #[test]
     fn a_size_is_a_number_with_a_unit() {
         let sizes = ["20G", "1.5t", "500m", "10k", "123"].map(|text| size(text).expect(text));
-        assert_eq!(
-            sizes,
-            [20_000_000_000, 1_500_000_000_000, 500_000_000, 10_000, 123]
-        );
+        assert_eq!(sizes, [20_000_000_000, 1_500_000_000_000, 500_000_000, 10_000, 123]);
         for none in ["", "G", "-1G", "1e9G", "NaNG", "20 GB", "ä", "1.5"] {
             assert!(size(none).is_err(), "{none:?}");
         }

@@ -128,12 +128,7 @@ fn bad_poses(capture: &Capture, error: &PosesError) -> Box<Refusal> {
         is_ours: false,
         report: CaptureReport {
             accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
-            images: capture
-                .assessments
-                .iter()
-                .cloned()
-                .map(assessment)
-                .collect(),
+            images: capture.assessments.iter().cloned().map(assessment).collect(),
             warnings: Vec::new(),
         },
     })
@@ -177,18 +172,13 @@ fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
     let hint = error.hint().to_owned();
     let is_ours = error.is_of_the_machine();
     let (accepted, assessments) = match error {
-        CaptureError::TooFew {
-            accepted,
-            assessments,
-        } => (accepted, assessments),
+        CaptureError::TooFew { accepted, assessments } => (accepted, assessments),
         _ => (0, Vec::new()),
     };
     Box::new(Refusal {
         detail,
         hint,
-        unsupported_format: assessments
-            .iter()
-            .any(|assessment| assessment.unsupported_format),
+        unsupported_format: assessments.iter().any(|assessment| assessment.unsupported_format),
         is_ours,
         report: CaptureReport {
             accepted: u32::try_from(accepted).unwrap_or(u32::MAX),
@@ -211,8 +201,5 @@ fn assessment(of: capture::Assessment) -> Assessment {
 }
 
 fn warning(of: CaptureWarning) -> Warning {
-    Warning {
-        code: of.code,
-        message: of.message,
-    }
+    Warning { code: of.code, message: of.message }
 }

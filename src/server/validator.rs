@@ -103,9 +103,7 @@ impl Validators {
     ) -> Result<Seen, AssessError> {
         let _one_of_few = self.processes.acquire().await.map_err(closed)?;
         let mut process = Process::start(&self.command, dir)?;
-        process
-            .send(&serde_json::to_string(request).map_err(process_error)?)
-            .await?;
+        process.send(&serde_json::to_string(request).map_err(process_error)?).await?;
         Conversation {
             validators: self,
             process,
@@ -193,9 +191,7 @@ impl Conversation<'_> {
         self.memory = Some(lent.await.map_err(closed)?);
         // Time spent waiting for others does not count.
         self.until += asked.elapsed();
-        self.process
-            .send(&(u64::from(wanted) * PIECE).to_string())
-            .await
+        self.process.send(&(u64::from(wanted) * PIECE).to_string()).await
     }
 
     fn late(&self) -> AssessError {
@@ -226,10 +222,7 @@ struct Process {
 impl Process {
     fn start(command: &[OsString], dir: Arc<Incoming>) -> Result<Self, AssessError> {
         let group = Group::spawn(command, &[], &[]);
-        Ok(Self {
-            inner: Some((group.map_err(process_error)?, dir)),
-            last_words: String::new(),
-        })
+        Ok(Self { inner: Some((group.map_err(process_error)?, dir)), last_words: String::new() })
     }
 
     fn group(&mut self) -> Option<&mut Group> {

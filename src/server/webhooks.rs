@@ -19,21 +19,10 @@ use crate::store::{DeliveryRow, Then, Tried, WebhookRow, now_ms};
 pub use sign::{Secret, secret_text};
 
 /// All event types.
-pub const TYPES: [&str; 6] = [
-    "job.queued",
-    "job.running",
-    "job.succeeded",
-    "job.failed",
-    "job.cancelled",
-    "round.finished",
-];
+pub const TYPES: [&str; 6] =
+    ["job.queued", "job.running", "job.succeeded", "job.failed", "job.cancelled", "round.finished"];
 /// The default event types.
-pub const USUAL: [&str; 4] = [
-    "job.succeeded",
-    "job.failed",
-    "job.cancelled",
-    "round.finished",
-];
+pub const USUAL: [&str; 4] = ["job.succeeded", "job.failed", "job.cancelled", "round.finished"];
 
 /// Waits after failed attempts, in seconds, as in Standard Webhooks; then the delivery is
 /// abandoned, 28 hours after the event.
@@ -110,14 +99,8 @@ async fn send_due(
 }
 
 async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tried {
-    let failed = |answer: String| Tried {
-        then: again(delivery.attempts),
-        answer,
-    };
-    let given_up = |answer: &str| Tried {
-        answer: answer.to_owned(),
-        then: Then::GivenUp,
-    };
+    let failed = |answer: String| Tried { then: again(delivery.attempts), answer };
+    let given_up = |answer: &str| Tried { answer: answer.to_owned(), then: Then::GivenUp };
     if webhook.gone_at.is_some() {
         return given_up("the endpoint has answered 410 Gone");
     }
@@ -126,18 +109,10 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
         Ok(false) => return given_up("the token that created the webhook is no longer valid"),
         Err(error) => return failed(error.to_string()),
     }
-    let signed = sign::Signed::new(
-        &webhook.secret,
-        &delivery.id,
-        now_ms() / 1000,
-        &delivery.body,
-    );
+    let signed = sign::Signed::new(&webhook.secret, &delivery.id, now_ms() / 1000, &delivery.body);
     let inner = app.config.inner_webhooks;
     match post::post(webhook.url.clone(), signed, delivery.body.clone(), inner).await {
-        Ok(status @ 200..=299) => Tried {
-            answer: status.to_string(),
-            then: Then::Arrived,
-        },
+        Ok(status @ 200..=299) => Tried { answer: status.to_string(), then: Then::Arrived },
         Ok(410) => Tried {
             answer: "410: no more deliveries are sent to this endpoint".to_owned(),
             then: Then::Gone,

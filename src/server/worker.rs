@@ -127,10 +127,7 @@ async fn take(app: &App, kind: JobKind, turn: &str) -> Result<Option<(Claim, Arc
         .config
         .about
         .as_ref()
-        .map_or(Machine::ANY, |about| Machine {
-            has_gpu: about.has_gpu,
-            memory: about.memory,
-        });
+        .map_or(Machine::ANY, |about| Machine { has_gpu: about.has_gpu, memory: about.memory });
     let owner = format!("{}/{turn}", app.worker);
     let (lease, running) = (app.limits.lease_ms(), app.running.jobs());
     let claim = app.store.claim_fit(kind, &owner, lease, &running, machine);
@@ -218,11 +215,7 @@ async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Set
         detail: told(error),
         hint: advice(error).to_owned(),
     };
-    Ok(Settlement::Failed {
-        error,
-        retry_in_ms: retry.then_some(wait),
-        failures,
-    })
+    Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
 }
 
 /// Advice on a disk or database error, for the server's administrator.

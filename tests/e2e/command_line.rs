@@ -6,10 +6,7 @@ use std::process::Output;
 use crate::support::{self, small_capture, small_run};
 
 fn fled(arguments: &[&str]) -> Output {
-    support::fled()
-        .args(arguments)
-        .output()
-        .expect("the binary starts")
+    support::fled().args(arguments).output().expect("the binary starts")
 }
 
 fn code(output: &Output) -> i32 {
@@ -34,12 +31,7 @@ fn an_invalid_capture_exits_with_three_and_advice() {
     fs::create_dir(&empty).expect("folder");
     for capture in ["/nowhere/at/all", &empty.display().to_string()] {
         let output = fled(&["run", capture, "--out", &out]);
-        assert_eq!(
-            code(&output),
-            3,
-            "{capture}: {}",
-            String::from_utf8_lossy(&output.stderr)
-        );
+        assert_eq!(code(&output), 3, "{capture}: {}", String::from_utf8_lossy(&output.stderr));
     }
 }
 
@@ -50,11 +42,7 @@ fn every_photograph_that_is_not_used_is_named_with_its_reason() {
     let capture = folder.path().join("capture");
     fs::create_dir(&capture).expect("folder");
     let files: [(&str, &[u8], &str); 5] = [
-        (
-            "1.bmp",
-            b"BM",
-            "1.bmp is not used: BMP pictures are not read",
-        ),
+        ("1.bmp", b"BM", "1.bmp is not used: BMP pictures are not read"),
         ("2.jpg", b"", "2.jpg is not used: the file is empty"),
         ("3.jpg", b"\xff\xd8\xff\xe0", "3.jpg is not used: damaged"),
         ("4.jpg", b"a text", "4.jpg is not used: not a JPEG"),
@@ -80,26 +68,13 @@ fn a_missing_adapter_exits_with_four_and_an_event() {
         .args(["--json", "--set", "adapter=no-such-adapter"])
         .output()
         .expect("the binary starts");
-    assert_eq!(
-        code(&output),
-        4,
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let last = String::from_utf8_lossy(&output.stdout)
-        .lines()
-        .last()
-        .map(str::to_owned)
-        .expect("events");
+    assert_eq!(code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
+    let last =
+        String::from_utf8_lossy(&output.stdout).lines().last().map(str::to_owned).expect("events");
     let event: serde_json::Value = serde_json::from_str(&last).expect("a JSON line");
     assert_eq!(event["event"], "failed");
     assert_eq!(event["kind"], "environment");
-    assert!(
-        event["hint"]
-            .as_str()
-            .is_some_and(|hint| hint.contains("fled doctor")),
-        "{event}"
-    );
+    assert!(event["hint"].as_str().is_some_and(|hint| hint.contains("fled doctor")), "{event}");
 }
 
 #[test]
@@ -113,10 +88,7 @@ fn retired_options_are_ignored_and_missing_models_are_fatal() {
         .expect("the binary starts");
     assert_eq!(code(&output), 3);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(
-        said.contains("no longer has the option `dropout`"),
-        "{said}"
-    );
+    assert!(said.contains("no longer has the option `dropout`"), "{said}");
     assert!(said.contains("small-u2w16"), "{said}");
 }
 
@@ -127,8 +99,7 @@ fn the_doctor_finds_all_that_the_tests_need() {
     assert_eq!(code(&output), 0, "{text}");
     for what in ["adapter", "colmap", "onnxruntime", "models", "disk"] {
         assert!(
-            text.lines()
-                .any(|line| line.starts_with("ok") && line.contains(what)),
+            text.lines().any(|line| line.starts_with("ok") && line.contains(what)),
             "{what} in\n{text}"
         );
     }
@@ -141,45 +112,16 @@ fn the_doctor_finds_all_that_the_tests_need() {
 fn a_bench_prints_its_table_and_writes_the_same_cases_as_json() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let json = folder.path().join("bench.json");
-    let tiny = [
-        "--sizes",
-        "64x48",
-        "--gaussians",
-        "200",
-        "--steps",
-        "3",
-        "--seconds",
-        "0.01",
-    ];
-    let output = fled(
-        &[
-            &["bench"][..],
-            &tiny,
-            &["--json", &json.display().to_string()],
-        ]
-        .concat(),
-    );
-    assert_eq!(
-        code(&output),
-        0,
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    let (report, table) = (
-        support::json(&json),
-        String::from_utf8_lossy(&output.stdout),
-    );
+    let tiny = ["--sizes", "64x48", "--gaussians", "200", "--steps", "3", "--seconds", "0.01"];
+    let output = fled(&[&["bench"][..], &tiny, &["--json", &json.display().to_string()]].concat());
+    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let (report, table) = (support::json(&json), String::from_utf8_lossy(&output.stdout));
     let cases = report["cases"].as_array().expect("cases");
     assert_eq!(cases.len(), 6);
     for case in cases {
         let name = case["name"].as_str().expect("a name");
         assert!(table.contains(name), "{name} in\n{table}");
-        assert!(
-            case["steps_per_second"]
-                .as_f64()
-                .is_some_and(|rate| rate > 0.0),
-            "{case}"
-        );
+        assert!(case["steps_per_second"].as_f64().is_some_and(|rate| rate > 0.0), "{case}");
     }
     assert!(String::from_utf8_lossy(&output.stderr).contains("[6/6] sort 200 keys"));
 }

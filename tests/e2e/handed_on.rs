@@ -11,11 +11,7 @@ use crate::support::{code, fled, json, said, small_capture, small_run, succeed};
 fn made(arguments: &[&str], run: &Path, out: &Path) -> Output {
     let mut command = fled();
     command.arg(arguments[0]).arg(run).args(&arguments[1..]);
-    command
-        .arg("--output")
-        .arg(out)
-        .output()
-        .expect("it starts")
+    command.arg("--output").arg(out).output().expect("it starts")
 }
 
 /// Codec, width, height, pixel format, number of frames.
@@ -43,22 +39,9 @@ fn a_finished_run_becomes_videos_and_exports() {
     std::fs::write(&plan, path.to_string()).expect("written");
     let plan = plan.display().to_string();
     for (way, expected) in [
+        (&["video", "--orbit", "--seconds", "1", "--degrees", "30"][..], "h264,128,80,yuv420p,24"),
         (
-            &["video", "--orbit", "--seconds", "1", "--degrees", "30"][..],
-            "h264,128,80,yuv420p,24",
-        ),
-        (
-            &[
-                "video",
-                "--cameras",
-                "--seconds",
-                "1",
-                "--fps",
-                "5",
-                "--size",
-                "96x96",
-                "--json",
-            ],
+            &["video", "--cameras", "--seconds", "1", "--fps", "5", "--size", "96x96", "--json"],
             "h264,96,96,yuv420p,5",
         ),
         (&["video", "--plan", &plan], "h264,128,80,yuv420p,15"),
@@ -82,11 +65,7 @@ fn a_finished_run_becomes_videos_and_exports() {
     assert_eq!(Some(read.images.len()), cameras.as_array().map(Vec::len));
     assert!(read.points.len() > 100, "{} points", read.points.len());
     let small = folder.path().join("small.ply");
-    let output = made(
-        &["export", "scene.compressed.ply", "--round", "1"],
-        &run,
-        &small,
-    );
+    let output = made(&["export", "scene.compressed.ply", "--round", "1"], &run, &small);
     assert_eq!(code(&output), 0, "{}", said(&output));
     let size = |path: &Path| path.metadata().expect("there").len();
     assert!(4 * size(&small) < size(&run.join("scene.ply")) + 4000);
@@ -102,11 +81,7 @@ fn impossible_videos_and_exports_explain_why() {
     assert!(said(&output).contains("cameras.json"), "{}", said(&output));
     let output = made(&["export", "restored.zip"], &nothing, &out);
     assert_eq!(code(&output), 3, "{}", said(&output));
-    assert!(
-        said(&output).contains("a finished `fled run`"),
-        "{}",
-        said(&output)
-    );
+    assert!(said(&output).contains("a finished `fled run`"), "{}", said(&output));
     for wrong in [
         &["video"][..],
         &["video", "--orbit", "--cameras"],

@@ -24,35 +24,16 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
         let of = |r: &&serde_json::Value| {
             r["split"] == split && r["image"] == image && r["reference"] == reference
         };
-        records.iter().find(of).expect("a record")["psnr_cc_db"]
-            .as_f64()
-            .expect("dB")
+        records.iter().find(of).expect("a record")["psnr_cc_db"].as_f64().expect("dB")
     };
     // 120 steps make no good scene, but an empty render scores 13 dB here.
-    assert!(
-        psnr("render", "train", "gt") > 17.0,
-        "training views: {report:#}"
-    );
-    assert!(
-        psnr("render", "held_out", "gt") > 16.5,
-        "held-out views: {report:#}"
-    );
-    assert!(
-        psnr("enhanced", "held_out", "gt") > 20.0,
-        "the brightened views: {report:#}"
-    );
+    assert!(psnr("render", "train", "gt") > 17.0, "training views: {report:#}");
+    assert!(psnr("render", "held_out", "gt") > 16.5, "held-out views: {report:#}");
+    assert!(psnr("enhanced", "held_out", "gt") > 20.0, "the brightened views: {report:#}");
     let scene = ply::read(&out.join("scene.ply")).expect("a scene");
     assert!(!scene.gaussians.is_empty());
-    assert_eq!(
-        json(&out.join("cameras.json"))
-            .as_array()
-            .expect("cameras")
-            .len(),
-        12
-    );
-    let restored = fs::read_dir(out.join("restored"))
-        .expect("restored views")
-        .count();
+    assert_eq!(json(&out.join("cameras.json")).as_array().expect("cameras").len(), 12);
+    let restored = fs::read_dir(out.join("restored")).expect("restored views").count();
     assert_eq!(restored, 12);
     assert_eq!(json(&out.join("config.json"))["rounds"], 2);
 }
@@ -112,15 +93,9 @@ fn a_run_killed_at_any_stage_resumes_to_the_same_scene() {
     }
     succeed(&mut small_run(&capture, &out, 2));
     let resumed = fs::read(out.join("scene.ply")).expect("scene.ply");
-    assert!(
-        resumed == expected,
-        "a resumed run must deliver what an undisturbed one does"
-    );
+    assert!(resumed == expected, "a resumed run must deliver what an undisturbed one does");
     let log = fs::read_to_string(out.join("log.txt")).expect("log.txt");
-    assert!(
-        log.contains("already done"),
-        "the rerun must have skipped finished stages:\n{log}"
-    );
+    assert!(log.contains("already done"), "the rerun must have skipped finished stages:\n{log}");
 }
 
 #[test]
@@ -129,15 +104,11 @@ fn a_finished_run_is_not_repeated() {
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
     succeed(&mut small_run(&capture, &out, 1));
-    let written = fs::metadata(out.join("rounds/1/scene.ply"))
-        .expect("scene")
-        .modified()
-        .expect("time");
+    let written =
+        fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
     succeed(&mut small_run(&capture, &out, 1));
-    let again = fs::metadata(out.join("rounds/1/scene.ply"))
-        .expect("scene")
-        .modified()
-        .expect("time");
+    let again =
+        fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
     assert_eq!(written, again);
 }
 
@@ -157,14 +128,8 @@ fn only_discarded_work_is_deblurred_again_for_new_training() {
     };
     run(&[]);
     let retrained = run(&["--set", "cap=1200", "--discard-work"]);
-    assert!(
-        retrained.contains("round 1 deblur already done"),
-        "{retrained}"
-    );
-    assert!(
-        retrained.contains("round 1 reconstruct done"),
-        "{retrained}"
-    );
+    assert!(retrained.contains("round 1 deblur already done"), "{retrained}");
+    assert!(retrained.contains("round 1 reconstruct done"), "{retrained}");
     let discarded = run(&["--set", "cap=1100"]);
     assert!(discarded.contains("round 1 deblur done"), "{discarded}");
 }
@@ -175,21 +140,11 @@ fn a_finished_run_renders_from_a_view_and_an_orbit() {
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
     succeed(&mut small_run(&capture, &out, 1));
-    let name = json(&out.join("cameras.json"))[1]["name"]
-        .as_str()
-        .expect("name")
-        .to_owned();
+    let name = json(&out.join("cameras.json"))[1]["name"].as_str().expect("name").to_owned();
     let picture = |arguments: &[&str]| {
         let path = folder.path().join("picture.png");
         let mut command = fled();
-        succeed(
-            command
-                .arg("render")
-                .arg(&out)
-                .args(arguments)
-                .arg("-o")
-                .arg(&path),
-        );
+        succeed(command.arg("render").arg(&out).args(arguments).arg("-o").arg(&path));
         Image::load(&path).expect("a picture")
     };
     let view = picture(&["--view", &name]);
@@ -197,14 +152,8 @@ fn a_finished_run_renders_from_a_view_and_an_orbit() {
     let restored =
         Image::load(&out.join("restored").join(format!("{name}.png"))).expect("restored");
     let psnr = fled_core::metrics::psnr(&view, &restored);
-    assert!(
-        psnr > 45.0,
-        "`fled render` and the pipeline disagree: {psnr:.1} dB"
-    );
+    assert!(psnr > 45.0, "`fled render` and the pipeline disagree: {psnr:.1} dB");
     let orbit = picture(&["--azimuth", "10", "--elevation", "-3", "--size", "96x64"]);
     assert_eq!((orbit.width(), orbit.height()), (96, 64));
-    assert!(
-        fled_core::metrics::mean_v(&orbit) > 0.02,
-        "the orbit looks at nothing"
-    );
+    assert!(fled_core::metrics::mean_v(&orbit) > 0.02, "the orbit looks at nothing");
 }

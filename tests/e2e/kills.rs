@@ -91,22 +91,14 @@ fn watch(server: &Server, job: &str, seen: f64, wait: u64) -> Option<(f64, Durat
                 return Some((progress, since.elapsed()));
             }
         }
-        assert!(
-            start.elapsed() < Duration::from_secs(300),
-            "it does not go on: {shown:#}"
-        );
+        assert!(start.elapsed() < Duration::from_secs(300), "it does not go on: {shown:#}");
         sleep(Duration::from_millis(10));
     }
 }
 
 /// The scene of each round of a job.
 fn scenes(server: &Server, job: &str) -> Vec<Vec<u8>> {
-    let output = server
-        .folder
-        .path()
-        .join("data/jobs")
-        .join(job)
-        .join("output");
+    let output = server.folder.path().join("data/jobs").join(job).join("output");
     let output = RunFolder::new(output);
     let scene = |round: u32| fs::read(output.scene_of(Some(round))).ok();
     (1..).map_while(scene).collect()

@@ -40,9 +40,7 @@ fn transforms(cameras: &[(String, Camera)]) -> Value {
 fn verdict<'a>(poses: &'a Value, name: &str) -> &'a Value {
     let verdicts = poses["verdicts"].as_array().expect("verdicts");
     let mut named = verdicts.iter().filter(|verdict| verdict["name"] == name);
-    named
-        .next()
-        .unwrap_or_else(|| panic!("nothing is said of {name}: {verdicts:?}"))
+    named.next().unwrap_or_else(|| panic!("nothing is said of {name}: {verdicts:?}"))
 }
 
 fn centre(file: &Path, name: &str) -> DVec3 {
@@ -52,10 +50,7 @@ fn centre(file: &Path, name: &str) -> DVec3 {
     let rows = &camera.unwrap_or_else(|| panic!("no camera of {name}"))["world_to_camera"];
     let value = |row: usize, column: usize| rows[row][column].as_f64().expect("a number");
     let columns = [0, 1, 2, 3].map(|c| [0, 1, 2, 3].map(|r| value(r, c)));
-    DMat4::from_cols_array_2d(&columns)
-        .inverse()
-        .w_axis
-        .truncate()
+    DMat4::from_cols_array_2d(&columns).inverse().w_axis.truncate()
 }
 
 /// Generates the capture; returns its cameras.
@@ -80,13 +75,7 @@ fn run(capture: &Path, out: &Path, late_views: bool) -> String {
     let mut command = fled();
     command.arg("run").arg(capture).arg("--out").arg(out);
     command.args(["--preset", "preview", "--cache", "none"]);
-    for set in [
-        "size=256",
-        "steps=200",
-        "cap=4000",
-        "pose_source=given",
-        "held_out=none",
-    ] {
+    for set in ["size=256", "steps=200", "cap=4000", "pose_source=given", "held_out=none"] {
         command.args(["--set", set]);
     }
     let late_views = format!("late_views={late_views}");
@@ -114,17 +103,10 @@ fn lost_and_misplaced_photographs_join_at_the_right_place() {
         assert_eq!(verdict(&poses, name)["status"], "late", "{name}: {log}");
         let (_, truth) = cameras.iter().find(|(view, _)| view == name).expect("made");
         let away = centre(&out.join("cameras.json"), name).distance(truth.centre());
-        assert!(
-            away < 0.03 * extent(&cameras),
-            "{name} is {away} away: {log}"
-        );
+        assert!(away < 0.03 * extent(&cameras), "{name} is {away} away: {log}");
     }
     assert_eq!(verdict(&poses, "001")["status"], "registered");
-    assert!(
-        verdict(&poses, "001")["fit"]
-            .as_f64()
-            .is_some_and(|fit| fit > 0.7)
-    );
+    assert!(verdict(&poses, "001")["fit"].as_f64().is_some_and(|fit| fit > 0.7));
     let metrics = json(&out.join("metrics.json"));
     let registered = |round: usize| {
         let rows = metrics["rounds"][round]["views"].as_array().expect("rows");
@@ -134,11 +116,7 @@ fn lost_and_misplaced_photographs_join_at_the_right_place() {
     // The search is not repeated.
     let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");
-    assert_eq!(
-        json(&out.join("poses.json")),
-        poses,
-        "the scene's say stands, too"
-    );
+    assert_eq!(json(&out.join("poses.json")), poses, "the scene's say stands, too");
     // When disabled, no view joins or leaves, and the first round is reused.
     let off = run(&place, &out, false);
     assert!(off.contains("round 1 reconstruct already done"), "{off}");

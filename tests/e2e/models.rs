@@ -7,11 +7,7 @@ use crate::support::{self, code, network, said};
 
 /// Runs `fled models` with the networks in `folder`.
 fn models(folder: &Path) -> Output {
-    support::fled()
-        .args(["models", "--models"])
-        .arg(folder)
-        .output()
-        .expect("the binary starts")
+    support::fled().args(["models", "--models"]).arg(folder).output().expect("the binary starts")
 }
 
 /// A folder with the network `identity3` under the name `mine.onnx`.
@@ -40,11 +36,8 @@ fn all_networks_are_listed_and_checked() {
         let line = line(id, &text);
         assert!(words.iter().all(|word| line.contains(word)), "{text}");
     }
-    let unusable = [
-        ("four_channels", "4 channels"),
-        ("infinite3", "not finite"),
-        ("fixed_size", "48x32"),
-    ];
+    let unusable =
+        [("four_channels", "4 channels"), ("infinite3", "not finite"), ("fixed_size", "48x32")];
     for (name, _) in unusable {
         let file = folder.join(format!("{name}.onnx"));
         std::fs::copy(network(name), file).expect("copied");

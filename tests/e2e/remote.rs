@@ -64,25 +64,9 @@ fn pass([mut from, mut to]: [TcpStream; 2], left: &AtomicU64, cuts: &AtomicUsize
 
 fn submit(capture: &Path, server: &str, token: &str, out: &Path) -> Output {
     let mut command = fled();
-    command
-        .arg("submit")
-        .arg(capture)
-        .args(["--server", server]);
-    command.args([
-        "--preset",
-        "preview",
-        "--name",
-        "a place",
-        "--patience",
-        "60",
-    ]);
-    for set in [
-        "size=96",
-        "steps=40",
-        "cap=800",
-        "rounds=1",
-        "pose_source=given",
-    ] {
+    command.arg("submit").arg(capture).args(["--server", server]);
+    command.args(["--preset", "preview", "--name", "a place", "--patience", "60"]);
+    for set in ["size=96", "steps=40", "cap=800", "rounds=1", "pose_source=given"] {
         command.args(["--set", set]);
     }
     command.arg("--out").arg(out).env("FLED_TOKEN", token);
@@ -93,11 +77,7 @@ fn submit(capture: &Path, server: &str, token: &str, out: &Path) -> Output {
 fn capture_and_result_survive_broken_connections() {
     let server = Server::start();
     let data = server.folder.path().join("data");
-    let made = succeed(
-        fled()
-            .args(["token", "create", "--scope", "admin", "--data"])
-            .arg(data),
-    );
+    let made = succeed(fled().args(["token", "create", "--scope", "admin", "--data"]).arg(data));
     let token = String::from_utf8(made.stdout).expect("text");
     let token = token.trim();
     let capture = small_capture(server.folder.path());
@@ -129,16 +109,8 @@ fn capture_and_result_survive_broken_connections() {
     std::fs::remove_file(out.join("scene.ply")).expect("removed");
     let again = submit(&capture, &proxy.address, token, &out);
     assert_eq!(code(&again), 0, "{}", said(&again));
-    assert!(
-        said(&again).contains("submitted before"),
-        "{}",
-        said(&again)
-    );
-    assert!(
-        said(&again).contains("1 files downloaded"),
-        "{}",
-        said(&again)
-    );
+    assert!(said(&again).contains("submitted before"), "{}", said(&again));
+    assert!(said(&again).contains("1 files downloaded"), "{}", said(&again));
     assert!(std::fs::read(out.join("scene.ply")).expect("the scene") == scene);
 
     and_with_other_options(&server, &proxy.address, token, id);

@@ -41,11 +41,7 @@ impl Server {
     pub fn start() -> Self {
         let folder = tempfile::tempdir().expect("temporary folder");
         let (child, client) = serve(folder.path());
-        Self {
-            folder,
-            child,
-            client,
-        }
+        Self { folder, child, client }
     }
 
     /// Kills the server with SIGKILL.
@@ -68,10 +64,7 @@ impl Server {
             "size": 128, "steps": 300, "cap": 1500, "rounds": 2, "pose_source": "given", "held_out": 4,
             "train_on": "deblurred",
         });
-        parts.extend([
-            text("preset", "preview"),
-            text("options", &options.to_string()),
-        ]);
+        parts.extend([text("preset", "preview"), text("options", &options.to_string())]);
         let reply = self.upload("/v1/jobs", &parts, &[]).expect(202);
         reply.json()["id"].as_str().expect("id").to_owned()
     }
@@ -88,15 +81,9 @@ impl Server {
     }
 
     fn names(&self, job: &str) -> Vec<String> {
-        let answer = self
-            .get(&format!("/v1/jobs/{job}/artifacts"), &[])
-            .expect(200)
-            .json();
+        let answer = self.get(&format!("/v1/jobs/{job}/artifacts"), &[]).expect(200).json();
         let artifacts = answer["artifacts"].as_array().expect("artifacts");
-        artifacts
-            .iter()
-            .map(|file| file["name"].as_str().expect("name").to_owned())
-            .collect()
+        artifacts.iter().map(|file| file["name"].as_str().expect("name").to_owned()).collect()
     }
 
     fn picture(&self, reply: Reply) -> Image {
@@ -106,9 +93,7 @@ impl Server {
     }
 
     fn log(&self, job: &str) -> String {
-        self.get(&format!("/v1/jobs/{job}/log?limit=2000"), &[])
-            .expect(200)
-            .text()
+        self.get(&format!("/v1/jobs/{job}/log?limit=2000"), &[]).expect(200).text()
     }
 }
 
@@ -125,10 +110,7 @@ fn serve(folder: &Path) -> (Child, Client) {
     let address = lines
         .by_ref()
         .map(|line| line.expect("UTF-8"))
-        .find_map(|line| {
-            line.split_once("listening on ")
-                .map(|(_, address)| address.to_owned())
-        });
+        .find_map(|line| line.split_once("listening on ").map(|(_, address)| address.to_owned()));
     // Keep reading, or the server blocks once the pipe is full.
     std::thread::spawn(move || lines.for_each(drop));
     (child, Client::new(address.expect("an address"), PATIENCE))
@@ -143,11 +125,7 @@ fn folder_parts(capture: &Path) -> Vec<Part> {
             if path.is_dir() {
                 folders.push(path);
             } else {
-                let name = path
-                    .strip_prefix(capture)
-                    .expect("inside")
-                    .display()
-                    .to_string();
+                let name = path.strip_prefix(capture).expect("inside").display().to_string();
                 parts.push(file(&name, &fs::read(&path).expect("a file")));
             }
         }
@@ -159,10 +137,7 @@ fn events_of<'a>(
     events: &'a [(i64, String, Value)],
     name: &'a str,
 ) -> impl Iterator<Item = &'a Value> {
-    events
-        .iter()
-        .filter(move |(_, kind, _)| kind == name)
-        .map(|(.., data)| data)
+    events.iter().filter(move |(_, kind, _)| kind == name).map(|(.., data)| data)
 }
 
 #[test]
@@ -189,108 +164,60 @@ fn a_posted_capture_becomes_a_job_with_results_and_renders() {
         "{}",
         server.log(&job)
     );
-    assert_eq!(
-        (&done["attempts"], &done["progress"]),
-        (&1.into(), &1.0.into())
-    );
+    assert_eq!((&done["attempts"], &done["progress"]), (&1.into(), &1.0.into()));
     check_rounds(&server, &job, &done);
     check_artifacts(&server, &job);
     check_views(&server, &job);
 
     let events = server.events(&job, 0, usize::MAX);
     assert_eq!(events_of(&events, "round_finished").count(), 2);
-    assert_eq!(
-        events_of(&events, "state").last().expect("states")["state"],
-        "succeeded"
-    );
+    assert_eq!(events_of(&events, "state").last().expect("states")["state"], "succeeded");
 }
 
 /// Checks that the table of rounds equals that of `metrics.json`, with every split and every view.
 fn check_rounds(server: &Server, job: &str, done: &Value) {
-    let rounds = server
-        .get(&format!("/v1/jobs/{job}/rounds"), &[])
-        .expect(200)
-        .json();
+    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
-    assert_eq!(
-        (&rounds["registered"], &rounds["best_round"]),
-        (&12.into(), &done["best_round"])
-    );
-    let held_out = rounds["rounds"][1]["records"]
-        .as_array()
-        .expect("records")
-        .iter()
-        .find(|record| {
+    assert_eq!((&rounds["registered"], &rounds["best_round"]), (&12.into(), &done["best_round"]));
+    let held_out =
+        rounds["rounds"][1]["records"].as_array().expect("records").iter().find(|record| {
             record["split"] == "held_out"
                 && record["image"] == "render"
                 && record["reference"] == "gt"
         });
-    assert_eq!(
-        held_out.expect("a held-out record against ground truth")["views"],
-        3
-    );
-    let metrics = server
-        .get(&format!("/v1/jobs/{job}/artifacts/metrics.json"), &[])
-        .expect(200)
-        .json();
-    assert_eq!(
-        metrics["rounds"], rounds["rounds"],
-        "two tellings of the same rounds"
-    );
+    assert_eq!(held_out.expect("a held-out record against ground truth")["views"], 3);
+    let metrics =
+        server.get(&format!("/v1/jobs/{job}/artifacts/metrics.json"), &[]).expect(200).json();
+    assert_eq!(metrics["rounds"], rounds["rounds"], "two tellings of the same rounds");
     let views = rounds["rounds"][1]["views"].as_array().expect("views");
     assert_eq!(views.len(), 12);
-    assert!(
-        views.iter().all(|view| view["psnr_db"].is_f64()),
-        "{views:?}"
-    );
+    assert!(views.iter().all(|view| view["psnr_db"].is_f64()), "{views:?}");
 }
 
 fn check_artifacts(server: &Server, job: &str) {
     let names = server.names(job);
-    for name in [
-        "scene.ply",
-        "cameras.json",
-        "metrics.json",
-        "config.json",
-        "rounds/2/scene.ply",
-    ] {
-        assert!(
-            names.iter().any(|known| known == name),
-            "{name} is missing in {names:?}"
-        );
+    for name in ["scene.ply", "cameras.json", "metrics.json", "config.json", "rounds/2/scene.ply"] {
+        assert!(names.iter().any(|known| known == name), "{name} is missing in {names:?}");
     }
     let private = names.iter().find(|name| name.starts_with("work/"));
-    assert_eq!(
-        private, None,
-        "what only a resumed run reads is no artifact"
-    );
+    assert_eq!(private, None, "what only a resumed run reads is no artifact");
 }
 
 /// Checks that a photograph's view renders as in the pipeline, and other aspect ratios as in
 /// `fled render`: with square pixels.
 fn check_views(server: &Server, job: &str) {
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
-    let camera = &server
-        .get(&format!("/v1/jobs/{job}/artifacts/cameras.json"), &[])
-        .expect(200)
-        .json()[1];
+    let camera =
+        &server.get(&format!("/v1/jobs/{job}/artifacts/cameras.json"), &[]).expect(200).json()[1];
     let name = camera["name"].as_str().expect("name");
     let seen = server.picture(view(&format!("view={name}&format=png")));
-    let restored = server.get(
-        &format!("/v1/jobs/{job}/artifacts/restored/{name}.png"),
-        &[],
-    );
+    let restored = server.get(&format!("/v1/jobs/{job}/artifacts/restored/{name}.png"), &[]);
     let restored = server.picture(restored);
     let psnr = fled_core::metrics::psnr(&seen, &restored);
-    assert!(
-        psnr > 45.0,
-        "the service and the pipeline render differently: {psnr:.1} dB"
-    );
+    assert!(psnr > 45.0, "the service and the pipeline render differently: {psnr:.1} dB");
     let folder = server.folder.path();
-    let (run, file) = (
-        folder.join(format!("data/jobs/{job}/output")),
-        folder.join("by_command.png"),
-    );
+    let (run, file) =
+        (folder.join(format!("data/jobs/{job}/output")), folder.join("by_command.png"));
     for (show, flags) in [("colour", &[][..]), ("depth", &["--depth"])] {
         let query = format!("view={name}&width=60&height=90&format=png&show={show}");
         let by_service = server.picture(view(&query));
@@ -314,33 +241,14 @@ fn a_restarted_server_finishes_the_job_it_was_training() {
         server.restart();
     }
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
-    assert_eq!(
-        (&done["state"], &done["attempts"]),
-        (&"succeeded".into(), &3.into()),
-        "{done:#}"
-    );
-    assert!(
-        server
-            .log(&job)
-            .contains("round 1: reconstruct already done"),
-        "{}",
-        server.log(&job)
-    );
+    assert_eq!((&done["state"], &done["attempts"]), (&"succeeded".into(), &3.into()), "{done:#}");
+    assert!(server.log(&job).contains("round 1: reconstruct already done"), "{}", server.log(&job));
     let events = server.events(&job, 0, usize::MAX);
     let numbers: Vec<i64> = events.iter().map(|(id, ..)| *id).collect();
-    assert_eq!(
-        numbers,
-        (1..=numbers.len() as i64).collect::<Vec<_>>(),
-        "a gap or a duplicate"
-    );
-    let rounds = server
-        .get(&format!("/v1/jobs/{job}/rounds"), &[])
-        .expect(200)
-        .json();
+    assert_eq!(numbers, (1..=numbers.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
+    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
-    server
-        .get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[]).expect(200);
 }
 
 #[test]
@@ -352,20 +260,10 @@ fn a_job_whose_process_is_killed_is_retried_and_finishes() {
     assert!(!processes.is_empty(), "no process carries the job's mark");
     processes.into_iter().for_each(kill);
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
-    assert_eq!(
-        (&done["state"], &done["attempts"]),
-        (&"succeeded".into(), &2.into()),
-        "{done:#}"
-    );
+    assert_eq!((&done["state"], &done["attempts"]), (&"succeeded".into(), &2.into()), "{done:#}");
     let log = server.log(&job);
-    assert!(
-        log.contains("SIGKILL"),
-        "the log must tell what happened: {log}"
-    );
-    assert!(
-        log.contains("round 1: reconstruct already done"),
-        "round 1 was done again: {log}"
-    );
+    assert!(log.contains("SIGKILL"), "the log must tell what happened: {log}");
+    assert!(log.contains("round 1: reconstruct already done"), "round 1 was done again: {log}");
 }
 
 #[test]
@@ -373,40 +271,22 @@ fn black_pictures_are_each_refused_with_a_reason() {
     let server = Server::start();
     let black: Image = Image::new(160, 120);
     let png = black.encode(EncodeFormat::Png).expect("encode");
-    let parts: Vec<Part> = (0..12)
-        .map(|i| file(&format!("{i:03}.png"), &png))
-        .collect();
+    let parts: Vec<Part> = (0..12).map(|i| file(&format!("{i:03}.png"), &png)).collect();
     for path in ["/v1/captures", "/v1/jobs"] {
         let reply = server.upload(path, &parts, &[]).expect(422);
         assert_eq!(reply.header("content-type"), "application/problem+json");
         let problem = reply.json();
-        assert_eq!(
-            (&problem["code"], &problem["status"]),
-            (&"bad_input".into(), &422.into())
-        );
-        assert!(
-            problem["hint"]
-                .as_str()
-                .is_some_and(|hint| !hint.is_empty()),
-            "{problem}"
-        );
-        let images = problem["capture"]["images"]
-            .as_array()
-            .expect("assessments");
+        assert_eq!((&problem["code"], &problem["status"]), (&"bad_input".into(), &422.into()));
+        assert!(problem["hint"].as_str().is_some_and(|hint| !hint.is_empty()), "{problem}");
+        let images = problem["capture"]["images"].as_array().expect("assessments");
         let black = |image: &&Value| {
             image["accepted"] == false
-                && image["reason"]
-                    .as_str()
-                    .is_some_and(|why| why.contains("black"))
+                && image["reason"].as_str().is_some_and(|why| why.contains("black"))
         };
         assert_eq!(images.iter().filter(black).count(), 12, "{problem}");
     }
     let left = server.get("/v1/captures", &[]).expect(200).json();
-    assert_eq!(
-        left["captures"].as_array().map(Vec::len),
-        Some(0),
-        "a refused capture was kept"
-    );
+    assert_eq!(left["captures"].as_array().map(Vec::len), Some(0), "a refused capture was kept");
 }
 
 #[test]
@@ -415,11 +295,7 @@ fn tokens_are_created_listed_and_revoked_at_run_time() {
     let data = server.folder.path().join("data");
     let token = |arguments: &[&str]| {
         let mut command = fled();
-        command
-            .arg("token")
-            .args(arguments)
-            .arg("--data")
-            .arg(&data);
+        command.arg("token").args(arguments).arg("--data").arg(&data);
         command.output().expect("run")
     };
     let made = token(&["create", "--scope", "jobs:read,renders", "--name", "viewer"]);

@@ -47,10 +47,7 @@ fn a_suite_makes_judges_and_compares_the_missing_runs() {
     assert_eq!(code(&first), 0, "{}", said(&first));
     let table = String::from_utf8_lossy(&first.stdout);
     assert!(table.contains("| room | black |"), "{}", said(&first));
-    assert!(
-        table.contains("- failed: room, nowhere, seed 0: "),
-        "{table}"
-    );
+    assert!(table.contains("- failed: room, nowhere, seed 0: "), "{table}");
     assert!(table.contains("Differences to random"), "{table}");
 
     let summary = json(&as_json);
@@ -66,10 +63,7 @@ fn a_suite_makes_judges_and_compares_the_missing_runs() {
         assert!(kept.join("scene.ply").exists() && !kept.join("work").exists());
     }
     let differences = summary["differences"].as_array().expect("differences");
-    assert_eq!(
-        differences[0]["captures"][0]["pairs"], 2,
-        "{differences:#?}"
-    );
+    assert_eq!(differences[0]["captures"][0]["pairs"], 2, "{differences:#?}");
 
     // Only failed runs are repeated, and printing runs nothing.
     let again = carried_out(&file, &[]);
@@ -78,10 +72,7 @@ fn a_suite_makes_judges_and_compares_the_missing_runs() {
     assert!(tried.contains("room, nowhere, seed 0"), "{tried}");
     assert_eq!(again.stdout, first.stdout);
     let finished = carried_out(&file, &["--finished"]);
-    assert_eq!(
-        (&finished.stdout, &finished.stderr),
-        (&first.stdout, &vec![])
-    );
+    assert_eq!((&finished.stdout, &finished.stderr), (&first.stdout, &vec![]));
 }
 
 #[test]

@@ -35,9 +35,7 @@ pub fn fled() -> Command {
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so");
     let mut command = Command::new(FLED);
     // Tests must not use the networks of the user who runs them.
-    command
-        .env("ORT_DYLIB_PATH", library)
-        .env("FLED_MODELS", "/nowhere/models");
+    command.env("ORT_DYLIB_PATH", library).env("FLED_MODELS", "/nowhere/models");
     command
 }
 
@@ -45,12 +43,7 @@ pub fn fled() -> Command {
 /// Caches points beside the capture, because COLMAP's answer differs each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
-    command
-        .arg("run")
-        .arg(capture)
-        .arg("--out")
-        .arg(out)
-        .args(["--preset", "preview"]);
+    command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview"]);
     command.arg("--cache").arg(capture.with_file_name("cache"));
     for set in [
         "size=128",
@@ -68,11 +61,7 @@ pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
 /// Runs the command to its end; panics with its output if it fails.
 pub fn succeed(command: &mut Command) -> Output {
     let output = command.output().expect("the binary starts");
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     output
 }
 
@@ -94,9 +83,7 @@ pub fn kill_at(run: &mut Command, moment: &str) {
 
 /// Kills a process with SIGKILL; it may have exited already.
 pub fn kill(process: u32) {
-    let status = Command::new("kill")
-        .args(["-9", &process.to_string()])
-        .status();
+    let status = Command::new("kill").args(["-9", &process.to_string()]).status();
     status.expect("kill starts");
 }
 

@@ -47,17 +47,9 @@ fn golden_file() -> PathBuf {
 fn outcome(capture: &Path, out: &Path, options: &[&str]) -> Value {
     let mut command = fled();
     // Without COLMAP, the points are drawn from the seed; COLMAP's differ each time.
-    command
-        .env("PATH", "/nowhere")
-        .arg("run")
-        .arg(capture)
-        .arg("--out")
-        .arg(out);
+    command.env("PATH", "/nowhere").arg("run").arg(capture).arg("--out").arg(out);
     command.args(["--preset", "preview", "--cache", "none"]);
-    for set in ["size=96", "cap=1000", "pose_source=given"]
-        .iter()
-        .chain(options)
-    {
+    for set in ["size=96", "cap=1000", "pose_source=given"].iter().chain(options) {
         command.args(["--set", set]);
     }
     succeed(&mut command);
@@ -86,25 +78,14 @@ fn without_clock(value: Value) -> Value {
 
 /// The machine that determines the bytes: adapter and processor.
 fn machine(outcome: &Value) -> String {
-    let adapter = outcome["metrics.json"]["adapter"]
-        .as_str()
-        .expect("an adapter");
+    let adapter = outcome["metrics.json"]["adapter"].as_str().expect("an adapter");
     let cpu = fs::read_to_string("/proc/cpuinfo").expect("Linux");
     let field = |name: &str| {
-        let line = cpu
-            .lines()
-            .find(|line| line.split(':').next().is_some_and(|key| key.trim() == name));
-        line.and_then(|line| line.split(':').nth(1))
-            .unwrap_or("?")
-            .trim()
-            .to_owned()
+        let line =
+            cpu.lines().find(|line| line.split(':').next().is_some_and(|key| key.trim() == name));
+        line.and_then(|line| line.split(':').nth(1)).unwrap_or("?").trim().to_owned()
     };
-    format!(
-        "{adapter}; {} {}/{}",
-        field("vendor_id"),
-        field("cpu family"),
-        field("model")
-    )
+    format!("{adapter}; {} {}/{}", field("vendor_id"), field("cpu family"), field("model"))
 }
 
 /// The differences between two outcomes of one run, as paths into the JSON.
@@ -129,15 +110,9 @@ fn differences(path: &str, expected: &Value, found: &Value, faults: &mut Vec<Str
 
 /// PSNR of every record, in order, dB.
 fn scores(outcome: &Value) -> Vec<f64> {
-    let rounds = outcome["metrics.json"]["rounds"]
-        .as_array()
-        .expect("rounds");
-    let records = rounds
-        .iter()
-        .flat_map(|round| round["records"].as_array().expect("records"));
-    records
-        .map(|record| record["psnr_db"].as_f64().expect("dB"))
-        .collect()
+    let rounds = outcome["metrics.json"]["rounds"].as_array().expect("rounds");
+    let records = rounds.iter().flat_map(|round| round["records"].as_array().expect("records"));
+    records.map(|record| record["psnr_db"].as_f64().expect("dB")).collect()
 }
 
 /// The faults of `found`, given the known outcomes of this machine and of others.
@@ -150,17 +125,11 @@ fn faults(known: &Map<String, Value>, run: &str, found: &Value) -> Vec<String> {
     for (machine, runs) in known {
         let (expected, found) = (scores(&runs[run]), scores(found));
         if expected.len() != found.len() {
-            faults.push(format!(
-                "{run}: {} scores, {} on {machine}",
-                found.len(),
-                expected.len()
-            ));
+            faults.push(format!("{run}: {} scores, {} on {machine}", found.len(), expected.len()));
         }
         for (index, (a, b)) in expected.iter().zip(&found).enumerate() {
             if (a - b).abs() > TOLERANCE_DB {
-                faults.push(format!(
-                    "{run}: score {index} is {b:.2} dB, {a:.2} on {machine}"
-                ));
+                faults.push(format!("{run}: score {index} is {b:.2} dB, {a:.2} on {machine}"));
             }
         }
     }
@@ -171,13 +140,8 @@ fn faults(known: &Map<String, Value>, run: &str, found: &Value) -> Vec<String> {
 fn a_fixed_capture_seed_and_poses_give_the_bytes_they_always_gave() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = folder.path().join("capture");
-    let options = SynthOptions {
-        views: 12,
-        width: 160,
-        height: 96,
-        seed: 3,
-        ..SynthOptions::default()
-    };
+    let options =
+        SynthOptions { views: 12, width: 160, height: 96, seed: 3, ..SynthOptions::default() };
     generate(&options, &capture).expect("a synthetic capture");
 
     let mut known: Map<String, Value> =
@@ -196,15 +160,8 @@ fn a_fixed_capture_seed_and_poses_give_the_bytes_they_always_gave() {
         let text = serde_json::to_string_pretty(&known).expect("JSON") + "\n";
         fs::write(golden_file(), text).expect("written");
     }
-    assert!(
-        !known.is_empty(),
-        "no machine is known: run once with FLED_BLESS=1"
-    );
-    assert!(
-        wrong.is_empty(),
-        "results have changed:\n{}",
-        wrong.join("\n")
-    );
+    assert!(!known.is_empty(), "no machine is known: run once with FLED_BLESS=1");
+    assert!(wrong.is_empty(), "results have changed:\n{}", wrong.join("\n"));
 }
 
 #[test]

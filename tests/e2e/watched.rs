@@ -28,19 +28,13 @@ fn training_reports_scores_and_a_picture_of_held_out_views() {
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
     let events = told(&capture, &out, &[], &["held_out_seen", "view_seen"]);
-    let (scores, pictures): (Vec<_>, Vec<_>) = events
-        .iter()
-        .partition(|event| event["event"] == "held_out_seen");
+    let (scores, pictures): (Vec<_>, Vec<_>) =
+        events.iter().partition(|event| event["event"] == "held_out_seen");
     let steps: Vec<_> = scores.iter().map(|told| told["step"].as_u64()).collect();
     assert_eq!(steps, [Some(100), Some(120)]);
     for told in &scores {
         assert_eq!(
-            (
-                &told["round"],
-                &told["steps"],
-                &told["views"],
-                &told["truth"]
-            ),
+            (&told["round"], &told["steps"], &told["views"], &told["truth"]),
             (&1.into(), &120.into(), &2.into(), &true.into()),
             "{told}"
         );
@@ -53,25 +47,13 @@ fn training_reports_scores_and_a_picture_of_held_out_views() {
     };
     let record = records.iter().find(is_asked).expect("a record");
     let number = |value: &Value, key: &str| value[key].as_f64().expect(key);
-    let (live, round) = (
-        number(scores[1], "psnr_cc_db"),
-        number(record, "psnr_cc_db"),
-    );
-    assert!(
-        live > round - 1.0 && live < round + 4.0,
-        "{live:.2} dB, {round:.2}"
-    );
+    let (live, round) = (number(scores[1], "psnr_cc_db"), number(record, "psnr_cc_db"));
+    assert!(live > round - 1.0 && live < round + 4.0, "{live:.2} dB, {round:.2}");
     assert!(number(scores[1], "ssim") > 0.3, "{}", scores[1]);
     let first = pictures.first().expect("a picture");
-    assert_eq!(
-        (&first["held_out"], &first["round"]),
-        (&true.into(), &1.into())
-    );
+    assert_eq!((&first["held_out"], &first["round"]), (&true.into(), &1.into()));
     assert_eq!(first["view"], first_held_out(&out));
-    assert!(
-        !out.join("work/training.jpg").exists(),
-        "none trains any more"
-    );
+    assert!(!out.join("work/training.jpg").exists(), "none trains any more");
 }
 
 /// The name of the first held-out view.
@@ -89,18 +71,12 @@ fn live_scores_need_held_out_views_but_not_truth() {
     fs::remove_dir_all(capture.join("HL")).expect("ground truth");
     let names = ["held_out_seen", "view_seen"];
     let own = told(&capture, &folder.path().join("own"), &[], &names);
-    let scores: Vec<_> = own
-        .iter()
-        .filter(|told| told["event"] == "held_out_seen")
-        .collect();
+    let scores: Vec<_> = own.iter().filter(|told| told["event"] == "held_out_seen").collect();
     assert!(!scores.is_empty() && scores.iter().all(|told| told["truth"] == false));
     let all_train = ["held_out=none"];
     let none = told(&capture, &folder.path().join("none"), &all_train, &names);
     assert!(!none.is_empty(), "a picture");
     for told in none {
-        assert_eq!(
-            (&told["event"], &told["held_out"]),
-            (&"view_seen".into(), &false.into())
-        );
+        assert_eq!((&told["event"], &told["held_out"]), (&"view_seen".into(), &false.into()));
     }
 }

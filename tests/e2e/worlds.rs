@@ -59,9 +59,7 @@ fn run(
 ) -> (PathBuf, String) {
     let model = folder.join("capture/sparse/0");
     std::fs::create_dir_all(&model).expect("made");
-    let views = cameras
-        .iter()
-        .map(|(name, camera)| (format!("{name}.png"), world.camera(camera)));
+    let views = cameras.iter().map(|(name, camera)| (format!("{name}.png"), world.camera(camera)));
     // A lattice through the room, with some of its own colour.
     let points = (0..400).map(|i: u32| {
         let at = [i % 8, i / 8 % 7, i / 56].map(|n| f64::from(n) * 0.5 - 1.7);
@@ -104,11 +102,7 @@ fn rendered(out: &Path, camera: &Camera) -> Image {
 
 /// The largest difference of two pictures, grey levels.
 fn apart(a: &Image, b: &Image) -> f32 {
-    let levels = a
-        .data()
-        .iter()
-        .zip(b.data())
-        .map(|(a, b)| 255.0 * (a - b).abs());
+    let levels = a.data().iter().zip(b.data()).map(|(a, b)| 255.0 * (a - b).abs());
     levels.fold(0.0, f32::max)
 }
 
@@ -116,10 +110,7 @@ fn apart(a: &Image, b: &Image) -> f32 {
 fn astray(found: &Camera, given: &Camera) -> f64 {
     let largest = given.translation().abs().max_element();
     let off = found.world_to_camera - given.world_to_camera;
-    let off = off
-        .to_cols_array()
-        .into_iter()
-        .fold(0.0, |most: f64, x| most.max(x.abs()));
+    let off = off.to_cols_array().into_iter().fold(0.0, |most: f64, x| most.max(x.abs()));
     off / largest.max(1.0)
 }
 
@@ -143,24 +134,14 @@ fn restored_apart(a: &Path, b: &Path, cameras: &[(String, Camera)]) -> (f32, f32
         let picture = |out: &Path| Image::load(&out.join(format!("restored/{name}.png")));
         let (a, b) = (picture(a).expect("one"), picture(b).expect("the other"));
         most = most.max(apart(&a, &b));
-        let square = a
-            .data()
-            .iter()
-            .zip(b.data())
-            .map(|(a, b)| (255.0 * (a - b)).powi(2));
+        let square = a.data().iter().zip(b.data()).map(|(a, b)| (255.0 * (a - b)).powi(2));
         squares += square.sum::<f32>() / (a.data().len() * cameras.len()) as f32;
     }
     (most, squares.sqrt())
 }
 
-const HERE: World = World {
-    scale: 1.0,
-    offset: DVec3::ZERO,
-};
-const UTM: World = World {
-    scale: 1.0,
-    offset: DVec3::new(512_345.6, 5_412_345.9, 310.2),
-};
+const HERE: World = World { scale: 1.0, offset: DVec3::ZERO };
+const UTM: World = World { scale: 1.0, offset: DVec3::new(512_345.6, 5_412_345.9, 310.2) };
 
 /// Of one step: Adam makes as much of what is rounded as of what is not, and rounding differs.
 #[test]
@@ -188,10 +169,7 @@ fn no_scale_and_no_place_of_the_world_changes_a_render_and_all_comes_back_in_it(
         let (most, _) = restored_apart(&base, &out, &cameras);
         assert!(most < 1.01, "{scale} {offset}: {most} levels");
         let most = apart(&from_here, &rendered(&out, &world.camera(&novel(&cameras))));
-        assert!(
-            most < 1.01,
-            "{scale} {offset}: a novel view differs by {most} levels"
-        );
+        assert!(most < 1.01, "{scale} {offset}: a novel view differs by {most} levels");
         files_are_in_the_world(&out, &cameras, &trained, world);
     }
 }
@@ -230,52 +208,30 @@ fn files_are_in_the_world(
     let by: Normalisation = scene.normalisation;
     let header = std::fs::read(out.join("scene.ply")).expect("bytes");
     let header = String::from_utf8_lossy(&header[..400]).into_owned();
-    assert_eq!(
-        header.contains("comment fled: add "),
-        by.left_out,
-        "{header}"
-    );
+    assert_eq!(header.contains("comment fled: add "), by.left_out, "{header}");
     let places = scene.gaussians.means.iter();
     let places = places.map(|mean| by.point_in_world(DVec3::from(mean.map(f64::from))));
     let inside = places.filter(|place| place.distance(world.offset) < 5.0 * world.scale);
-    assert!(
-        2 * inside.count() > scene.gaussians.len(),
-        "the scene lies elsewhere"
-    );
+    assert!(2 * inside.count() > scene.gaussians.len(), "the scene lies elsewhere");
     the_export_is_in_the_world(out, world);
 }
 
 /// Of cameras and points.
 fn the_export_is_in_the_world(out: &Path, world: World) {
     let mut export = fled();
-    export
-        .arg("export")
-        .arg(out)
-        .arg("colmap.zip")
-        .arg("-o")
-        .arg(out.join("colmap.zip"));
+    export.arg("export").arg(out).arg("colmap.zip").arg("-o").arg(out.join("colmap.zip"));
     succeed(&mut export);
     let unpacked = out.join("colmap");
     let mut python = std::process::Command::new("python3");
-    python
-        .args(["-m", "zipfile", "-e"])
-        .arg(out.join("colmap.zip"));
+    python.args(["-m", "zipfile", "-e"]).arg(out.join("colmap.zip"));
     succeed(python.arg(&unpacked));
     let model = SparseModel::read(&unpacked.join("sparse/0")).expect("a model");
     let far = |point: &[f64; 3]| DVec3::from(*point).distance(world.offset) / world.scale;
-    let inside = model
-        .points
-        .iter()
-        .filter(|point| far(&point.position) < 5.0);
-    assert!(
-        2 * inside.count() > model.points.len(),
-        "the points lie elsewhere"
-    );
+    let inside = model.points.iter().filter(|point| far(&point.position) < 5.0);
+    assert!(2 * inside.count() > model.points.len(), "the points lie elsewhere");
     for image in &model.images {
         let there = cameras_of(out, "cameras.json");
-        let own = there
-            .iter()
-            .find(|own| image.name == format!("{}.png", own.name));
+        let own = there.iter().find(|own| image.name == format!("{}.png", own.name));
         let camera = own.expect("its camera").camera();
         let centre = DVec3::from(image.translation);
         assert!(centre.distance(camera.translation()) < 1e-9 * centre.length());

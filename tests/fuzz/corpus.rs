@@ -10,12 +10,8 @@ use std::path::Path;
 type Reader = fn(&[u8]);
 
 fn read_all(name: &str, least: usize, read: Reader) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("fuzz/corpus")
-        .join(name);
-    let files = fs::read_dir(&folder)
-        .expect(name)
-        .map(|file| file.expect("a file").path());
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(name);
+    let files = fs::read_dir(&folder).expect(name).map(|file| file.expect("a file").path());
     let mut count = 0;
     for path in files {
         let bytes = fs::read(&path).expect("read");

@@ -17,11 +17,7 @@ use fled_core::poses::model::SparseModel;
 /// Where the files lie that the readers are given: in memory, one folder a process.
 fn folder() -> PathBuf {
     let memory = Path::new("/dev/shm");
-    let root = if memory.is_dir() {
-        memory.to_owned()
-    } else {
-        std::env::temp_dir()
-    };
+    let root = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
     let folder = root.join(format!("fled-fuzz-{}", std::process::id()));
     fs::create_dir_all(&folder).expect("a folder");
     folder
@@ -50,11 +46,7 @@ pub fn exif(bytes: &[u8]) {
     jpeg.extend(&REST[2..]);
     let header = read_header(&written("photograph.jpg", &jpeg));
     let header = header.expect("the picture is whole whatever its EXIF says");
-    assert!(
-        header
-            .focal_px
-            .is_none_or(|focal| focal.is_finite() && focal > 0.0)
-    );
+    assert!(header.focal_px.is_none_or(|focal| focal.is_finite() && focal > 0.0));
 }
 
 /// A scene.
@@ -62,10 +54,7 @@ pub fn ply(bytes: &[u8]) {
     let path = written("scene.ply", bytes);
     let extent = ply::read_extent(&path);
     if let Ok(scene) = ply::read(&path) {
-        assert_eq!(
-            extent.ok().map(|(count, _)| count),
-            Some(scene.gaussians.len())
-        );
+        assert_eq!(extent.ok().map(|(count, _)| count), Some(scene.gaussians.len()));
     }
 }
 

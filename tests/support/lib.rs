@@ -49,9 +49,7 @@ impl Reply {
 
     /// The value of a header, empty when absent.
     pub fn header(&self, name: &str) -> &str {
-        self.headers
-            .get(name)
-            .map_or("", |value| value.to_str().expect("ASCII"))
+        self.headers.get(name).map_or("", |value| value.to_str().expect("ASCII"))
     }
 
     /// Panics with the body unless the status is `status`.
@@ -70,11 +68,7 @@ impl Client {
             .timeout_global(Some(PATIENCE))
             .build()
             .new_agent();
-        Self {
-            base,
-            agent,
-            patience,
-        }
+        Self { base, agent, patience }
     }
 
     /// Sends a GET request with headers.
@@ -133,11 +127,7 @@ impl Client {
 
     /// Sends a POST request with a multipart form.
     pub fn upload(&self, path: &str, parts: &[Part], headers: &[(&str, &str)]) -> Reply {
-        let headers = [
-            headers,
-            &[("content-type", "multipart/form-data; boundary=XXXX")],
-        ]
-        .concat();
+        let headers = [headers, &[("content-type", "multipart/form-data; boundary=XXXX")]].concat();
         self.post(path, &multipart(parts), &headers)
     }
 
@@ -164,9 +154,7 @@ impl Client {
     #[track_caller]
     pub fn wait_state(&self, job: &str, state: &str) -> Value {
         let is_over = |shown: &Value| shown["finished_at"].is_string();
-        let shown = self.wait(job, state, |shown| {
-            shown["state"] == state || is_over(shown)
-        });
+        let shown = self.wait(job, state, |shown| shown["state"] == state || is_over(shown));
         assert_eq!(shown["state"], state, "{shown:#}");
         shown
     }
@@ -206,17 +194,8 @@ impl Client {
 
 fn reply(outcome: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Reply {
     let mut response = outcome.expect("an answer");
-    let body = response
-        .body_mut()
-        .with_config()
-        .limit(1 << 30)
-        .read_to_vec()
-        .expect("body");
-    Reply {
-        status: response.status().as_u16(),
-        headers: response.headers().clone(),
-        body,
-    }
+    let body = response.body_mut().with_config().limit(1 << 30).read_to_vec().expect("body");
+    Reply { status: response.status().as_u16(), headers: response.headers().clone(), body }
 }
 
 /// Field name, file name, content.
@@ -236,9 +215,7 @@ pub fn file(name: &str, content: &[u8]) -> Part {
 pub fn multipart(parts: &[Part]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, file, content) in parts {
-        let file = file
-            .as_ref()
-            .map_or(String::new(), |file| format!("; filename=\"{file}\""));
+        let file = file.as_ref().map_or(String::new(), |file| format!("; filename=\"{file}\""));
         body.extend(
             format!("--XXXX\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n")
                 .bytes(),

@@ -64,32 +64,16 @@ impl Postgres {
             chown(&folder, Some(user), Some(group)).expect("chown");
         }
         let made = as_user(&program("initdb"))
-            .args([
-                "-U",
-                "fled",
-                "--auth=trust",
-                "--encoding=UTF8",
-                "--locale=C.UTF-8",
-                "-D",
-            ])
+            .args(["-U", "fled", "--auth=trust", "--encoding=UTF8", "--locale=C.UTF-8", "-D"])
             .arg(&data)
             .output()
             .expect("initdb runs");
-        assert!(
-            made.status.success(),
-            "{}",
-            String::from_utf8_lossy(&made.stderr)
-        );
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
         let port = {
             let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
             taken.local_addr().expect("address").port()
         };
-        let mut server = Self {
-            folder,
-            port,
-            child: None,
-            databases: AtomicU32::new(0),
-        };
+        let mut server = Self { folder, port, child: None, databases: AtomicU32::new(0) };
         server.begin();
         server
     }
@@ -103,13 +87,7 @@ impl Postgres {
         let child = as_user(&program("postgres"))
             .arg("-D")
             .arg(self.folder.join("data"))
-            .args([
-                "-p",
-                &self.port.to_string(),
-                "-c",
-                "listen_addresses=127.0.0.1",
-                "-k",
-            ])
+            .args(["-p", &self.port.to_string(), "-c", "listen_addresses=127.0.0.1", "-k"])
             .arg(&self.folder)
             // The tests do not cover power cuts.
             .args(["-c", "fsync=off", "-c", "max_connections=200"])
@@ -121,10 +99,7 @@ impl Postgres {
         let begun = Instant::now();
         while self.psql("postgres", "SELECT 1").is_err() {
             let log = fs::read_to_string(self.folder.join("log")).unwrap_or_default();
-            assert!(
-                begun.elapsed() < PATIENCE,
-                "PostgreSQL does not begin: {log}"
-            );
+            assert!(begun.elapsed() < PATIENCE, "PostgreSQL does not begin: {log}");
             sleep(Duration::from_millis(50));
         }
     }
@@ -219,15 +194,11 @@ fn other_user() -> Option<(u32, u32)> {
     root.then(|| {
         let users = fs::read_to_string("/etc/passwd").unwrap_or_default();
         let named = |name: &str| {
-            let line = users
-                .lines()
-                .find(|line| line.split(':').next() == Some(name))?;
+            let line = users.lines().find(|line| line.split(':').next() == Some(name))?;
             let mut fields = line.split(':').skip(2);
             Some((fields.next()?.parse().ok()?, fields.next()?.parse().ok()?))
         };
-        named("postgres")
-            .or_else(|| named("nobody"))
-            .unwrap_or((65534, 65534))
+        named("postgres").or_else(|| named("nobody")).unwrap_or((65534, 65534))
     })
 }
 
@@ -235,9 +206,7 @@ fn other_user() -> Option<(u32, u32)> {
 fn as_user(program: &Path) -> Command {
     let mut command = Command::new("setpriv");
     if let Some((user, group)) = other_user() {
-        command
-            .arg(format!("--reuid={user}"))
-            .arg(format!("--regid={group}"));
+        command.arg(format!("--reuid={user}")).arg(format!("--regid={group}"));
         command.arg("--clear-groups");
     }
     command.args(["--pdeathsig", "KILL", "--"]).arg(program);

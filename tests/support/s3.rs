@@ -102,12 +102,7 @@ impl S3 {
                 }
             });
         });
-        Self {
-            address,
-            root,
-            state,
-            stop,
-        }
+        Self { address, root, state, stop }
     }
 
     /// The settings of a client, named like the environment variables.
@@ -142,11 +137,7 @@ impl S3 {
         let done = AtomicUsize::new(0);
         self.misbehave(move |request| {
             let meant = request.starts_with(begin);
-            if meant && done.fetch_add(1, Ordering::Relaxed) < count {
-                fault
-            } else {
-                Fault::None
-            }
+            if meant && done.fetch_add(1, Ordering::Relaxed) < count { fault } else { Fault::None }
         });
     }
 
@@ -199,11 +190,7 @@ async fn answer(state: &State, request: Request<Incoming>) -> Response<Body> {
     };
     state.now.fetch_sub(1, Ordering::Relaxed);
     let answer = answer.unwrap_or_else(|_: HttpError| refusal(500));
-    if is_head {
-        answer
-    } else {
-        spoil(answer, fault)
-    }
+    if is_head { answer } else { spoil(answer, fault) }
 }
 
 /// Unread data resets the connection, which may lose the response.

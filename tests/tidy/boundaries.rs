@@ -23,9 +23,7 @@ const BOUNDARIES: [Boundary; 6] = [
     Boundary {
         within: &["src/core/", "src/lab/", "src/gpu/"],
         except: &[],
-        words: &[
-            "axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite",
-        ],
+        words: &["axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite"],
         reason: "the core has no HTTP, no SQL, no async runtime and no command line",
     },
     Boundary {
@@ -36,11 +34,7 @@ const BOUNDARIES: [Boundary; 6] = [
     },
     Boundary {
         within: &["src/core/", "src/lab/"],
-        except: &[
-            "src/core/inference/",
-            "src/core/deblur/onnx",
-            "src/core/Cargo.toml",
-        ],
+        except: &["src/core/inference/", "src/core/deblur/onnx", "src/core/Cargo.toml"],
         words: &["ort"],
         reason: "only inference and the deblurring network know ONNX Runtime",
     },
@@ -107,9 +101,7 @@ fn upward(source: &Source) -> Vec<String> {
             let used = used.split(|c| !is_part(c)).next().unwrap_or_default();
             if level(used).is_some_and(|level| level > own) {
                 let place = format!("{}:{number}", source.path);
-                faults.push(format!(
-                    "{place}: {module} may not use {used}, which is above it"
-                ));
+                faults.push(format!("{place}: {module} may not use {used}, which is above it"));
             }
         }
     }
@@ -163,16 +155,9 @@ fn a_forbidden_word_is_detected() {
         ("src/gpu/buffer.rs", "fn upload(scene: &Gaussians) {}"),
         ("src/server/worker.rs", "use crate::http::Verdict;"),
         ("src/server/unknown.rs", "fn free() {}"),
-        (
-            "src/server/store/jobs.rs",
-            "let limits = crate::config::Limits::default();",
-        ),
+        ("src/server/store/jobs.rs", "let limits = crate::config::Limits::default();"),
     ] {
-        assert_eq!(
-            faults(&[Source::made_up(path, line)]).len(),
-            1,
-            "{path}: {line}"
-        );
+        assert_eq!(faults(&[Source::made_up(path, line)]).len(), 1, "{path}: {line}");
     }
 }
 

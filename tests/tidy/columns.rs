@@ -11,10 +11,8 @@ const COLUMNS: usize = 100;
 
 /// Overlong lines of Rust. Lines with strings are exempt, because rustfmt does not break strings.
 fn in_rust(source: &Source) -> Vec<String> {
-    let tokens: TokenStream = source
-        .text
-        .parse()
-        .unwrap_or_else(|error| panic!("{}: {error}", source.path));
+    let tokens: TokenStream =
+        source.text.parse().unwrap_or_else(|error| panic!("{}: {error}", source.path));
     let mut with_string = BTreeSet::new();
     lines_with_strings(tokens, &mut with_string);
     too_long(source, |number, line| {
@@ -57,12 +55,8 @@ fn too_long(source: &Source, mut free: impl FnMut(usize, &str) -> bool) -> Vec<S
     let fault = |(number, line): (usize, &str)| {
         let columns = without_addresses(line).chars().count();
         let free = free(number, line);
-        (columns > COLUMNS && !free).then(|| {
-            format!(
-                "{}:{number}: {columns} columns, at most {COLUMNS}",
-                source.path
-            )
-        })
+        (columns > COLUMNS && !free)
+            .then(|| format!("{}:{number}: {columns} columns, at most {COLUMNS}", source.path))
     };
     (1..).zip(source.text.lines()).filter_map(fault).collect()
 }
@@ -91,9 +85,7 @@ fn lines_are_not_too_long() {
     assert!(markdown.iter().any(|source| source.path == "README.md"));
     let rust = rust.iter().flat_map(in_rust);
     let wgsl = wgsl.iter().flat_map(in_wgsl);
-    let faults = rust
-        .chain(wgsl)
-        .chain(markdown.iter().flat_map(in_markdown));
+    let faults = rust.chain(wgsl).chain(markdown.iter().flat_map(in_markdown));
     expect_none(&faults.collect::<Vec<_>>());
 }
 
@@ -103,20 +95,14 @@ fn a_long_line_is_detected() {
     let rust = format!("/// {0}\nconst A: &str = \"{0}\";\n// {0}\n", words(20));
     assert_eq!(
         in_rust(&Source::made_up("src/a.rs", &rust)),
-        [
-            "src/a.rs:1: 104 columns, at most 100",
-            "src/a.rs:3: 103 columns, at most 100"
-        ]
+        ["src/a.rs:1: 104 columns, at most 100", "src/a.rs:3: 103 columns, at most 100"]
     );
     let wgsl = format!("let a = {}1;\n", "1 + ".repeat(23));
     assert_eq!(in_wgsl(&Source::made_up("shaders/a.wgsl", &wgsl)).len(), 1);
     let markdown = format!("{0}\n{1}\n# {0}\n", words(21), words(20));
     assert_eq!(
         in_markdown(&Source::made_up("README.md", &markdown)),
-        [
-            "README.md:1: 105 columns, at most 100",
-            "README.md:3: 107 columns, at most 100"
-        ]
+        ["README.md:1: 105 columns, at most 100", "README.md:3: 107 columns, at most 100"]
     );
 }
 

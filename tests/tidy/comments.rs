@@ -38,9 +38,7 @@ fn start_of_comment(line: &str, sign: &str) -> Option<usize> {
 
 /// The documents cited in a comment.
 fn cited(comment: &str) -> impl Iterator<Item = &str> {
-    let words = comment
-        .split_whitespace()
-        .filter(|word| !word.contains("://"));
+    let words = comment.split_whitespace().filter(|word| !word.contains("://"));
     let part = |c: char| c.is_ascii_alphanumeric() || "_-./*<>".contains(c);
     let paths = words.flat_map(move |word| word.split(move |c: char| !part(c)));
     let paths = paths.map(|path| path.trim_end_matches('.'));
@@ -59,10 +57,7 @@ fn faults(source: &Source, exists: impl Fn(&Path) -> bool) -> Vec<String> {
         let missing =
             cited(comment).filter(|path| !exists(Path::new(path)) && !exists(&folder.join(path)));
         faults.extend(missing.map(|path| {
-            format!(
-                "{}:{number}: there is no {path} in this repository",
-                source.path
-            )
+            format!("{}:{number}: there is no {path} in this repository", source.path)
         }));
     }
     faults
@@ -72,10 +67,7 @@ fn faults(source: &Source, exists: impl Fn(&Path) -> bool) -> Vec<String> {
 fn comments_cite_only_documents_of_the_repository() {
     let (top, mut faults_found, mut read) = (top(), Vec::new(), 0);
     for (folder, extensions) in READ {
-        for source in extensions
-            .iter()
-            .flat_map(|extension| files(folder, extension))
-        {
+        for source in extensions.iter().flat_map(|extension| files(folder, extension)) {
             // The tests of this file contain comments in strings.
             if source.path == "tests/tidy/comments.rs" {
                 continue;

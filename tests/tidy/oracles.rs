@@ -9,39 +9,19 @@ fn faults(source: &Source) -> Vec<String> {
         .split("#[should_panic")
         .skip(1)
         .map(|rest| {
-            rest.split("\n    }\n")
-                .next()
-                .unwrap_or(rest)
-                .split("\n}\n")
-                .next()
-                .unwrap_or(rest)
+            rest.split("\n    }\n").next().unwrap_or(rest).split("\n}\n").next().unwrap_or(rest)
         })
         .collect();
-    let unit_tests = source
-        .text
-        .find("\n#[cfg(test)]\nmod tests {")
-        .unwrap_or(source.text.len());
+    let unit_tests = source.text.find("\n#[cfg(test)]\nmod tests {").unwrap_or(source.text.len());
     let only_tests = source.path.starts_with("tests/") || source.path.ends_with("tests.rs");
-    let tests = if only_tests {
-        &source.text[..]
-    } else {
-        &source.text[unit_tests..]
-    };
+    let tests = if only_tests { &source.text[..] } else { &source.text[unit_tests..] };
     let helpers = tests.lines().filter_map(|line| {
-        let name = line
-            .trim_start()
-            .trim_start_matches("pub(crate) ")
-            .trim_start_matches("pub ");
+        let name = line.trim_start().trim_start_matches("pub(crate) ").trim_start_matches("pub ");
         let name = name.strip_prefix("fn ")?;
-        name.starts_with("assert_")
-            .then(|| name.split(['(', '<']).next().unwrap_or(name))
+        name.starts_with("assert_").then(|| name.split(['(', '<']).next().unwrap_or(name))
     });
     helpers
-        .filter(|helper| {
-            !condemned
-                .iter()
-                .any(|body| body.contains(&format!("{helper}(")))
-        })
+        .filter(|helper| !condemned.iter().any(|body| body.contains(&format!("{helper}("))))
         .map(|helper| format!("{}: no `#[should_panic]` test calls {helper}", source.path))
         .collect()
 }
@@ -62,10 +42,7 @@ fn a_comparison_without_a_failing_test_is_detected() {
         format!("{helper}#[test]\n#[should_panic]\nfn far() {{\n    assert_close(1.0, 2.0);\n}}\n");
     assert!(faults(&Source::made_up("tests/a.rs", &test)).is_empty());
     let in_unit_tests = format!("\n#[cfg(test)]\nmod tests {{\n    {helper}}}\n");
-    assert_eq!(
-        faults(&Source::made_up("src/a.rs", &in_unit_tests)).len(),
-        1
-    );
+    assert_eq!(faults(&Source::made_up("src/a.rs", &in_unit_tests)).len(), 1);
     let unrelated = format!(
         "{helper}#[should_panic]\nfn far() {{\n    panic!();\n}}\nassert_close(1.0, 1.0);\n"
     );

@@ -14,10 +14,7 @@ pub struct Source {
 impl Source {
     /// A fictitious file for a test.
     pub fn made_up(path: &str, text: &str) -> Self {
-        Self {
-            path: path.to_owned(),
-            text: text.to_owned(),
-        }
+        Self { path: path.to_owned(), text: text.to_owned() }
     }
 
     /// Number, from 1, and text of every line before the unit tests that is not a comment.
@@ -61,12 +58,7 @@ pub fn top() -> PathBuf {
 
 /// Panics with one line per fault.
 pub fn expect_none(faults: &[String]) {
-    assert!(
-        faults.is_empty(),
-        "{} faults:\n{}",
-        faults.len(),
-        faults.join("\n")
-    );
+    assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
 }
 
 /// The entries of the root's `.gitignore` that are whole paths.
@@ -97,11 +89,7 @@ fn collect(folder: &Path, extension: &str, ignored: &[PathBuf], found: &mut Vec<
 
 #[test]
 fn sources_are_found_and_code_excludes_comments_and_tests() {
-    assert!(
-        files("tests/tidy", "rs")
-            .iter()
-            .any(|file| file.path == "tests/tidy/sources.rs")
-    );
+    assert!(files("tests/tidy", "rs").iter().any(|file| file.path == "tests/tidy/sources.rs"));
     let file = Source::made_up("a.rs", "use a;\n// use b;\n#[cfg(test)]\nuse c;\n");
     assert_eq!(file.code().collect::<Vec<_>>(), [(1, "use a;")]);
 }

@@ -101,10 +101,7 @@ async fn only_old_blobs_are_listed() {
             fs::write(&stray, "stray").unwrap();
             set_age(&stray, 25 * HOUR);
         }
-        assert_eq!(
-            older_than(&blobs, 24 * HOUR).await,
-            std::slice::from_ref(&old)
-        );
+        assert_eq!(older_than(&blobs, 24 * HOUR).await, std::slice::from_ref(&old));
         let mut all = older_than(&blobs, 22 * HOUR).await;
         all.sort();
         let mut both = [old, new];
@@ -190,10 +187,7 @@ async fn anything_but_a_digest_is_refused() {
     let long = "a".repeat(65);
     let path = format!("..{}", "/../secret".repeat(7).split_at(62).0);
     for digest in ["", "ab", "../../secret", &upper, &long, &path, "é"] {
-        let blob = Blob {
-            digest: digest.to_owned(),
-            bytes: 6,
-        };
+        let blob = Blob { digest: digest.to_owned(), bytes: 6 };
         let work = tempfile::tempdir().unwrap();
         let fetched = blobs.fetch(&blob, &work.path().join("to")).await;
         assert!(matches!(fetched, Err(BlobError::Digest(_))), "{digest:?}");
@@ -215,10 +209,7 @@ fn locations_are_parsed() {
     assert_eq!(blobs.location(), canonical.to_str().unwrap());
     let bucket = Blobs::open("s3://bucket/a/b/").unwrap();
     assert_eq!(bucket.location(), "s3://bucket/a/b");
-    assert_eq!(
-        Blobs::open("s3://bucket").unwrap().location(),
-        "s3://bucket"
-    );
+    assert_eq!(Blobs::open("s3://bucket").unwrap().location(), "s3://bucket");
     let refused = [
         "",
         "  ",

@@ -38,10 +38,7 @@ async fn damage(blobs: &Blobs, objects: &Path) {
     fs::write(&at, &whole).unwrap();
     let work = tempfile::tempdir().unwrap();
     blobs.fetch(&blob, &work.path().join("to")).await.unwrap();
-    let mistaken = Blob {
-        bytes: blob.bytes - 1,
-        ..blob
-    };
+    let mistaken = Blob { bytes: blob.bytes - 1, ..blob };
     expect_refused(blobs, &mistaken).await;
 }
 

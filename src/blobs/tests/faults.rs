@@ -75,10 +75,7 @@ async fn a_failed_transfer_leaves_no_file() {
     fs::write(&to, "before").unwrap();
     server.misbehave_first(100, "GET ", Fault::CutAfter(2 * MIB));
     let error = blobs.fetch(&blob, &to).await.unwrap_err();
-    assert!(
-        matches!(error, BlobError::BrokenOff { attempts: 4, .. }),
-        "{error}"
-    );
+    assert!(matches!(error, BlobError::BrokenOff { attempts: 4, .. }), "{error}");
     assert!(error.to_string().contains("broke off 4 times"), "{error}");
     assert_eq!(fs::read(&to).unwrap(), b"before");
     assert_eq!(names(work.path()), ["to"]);
@@ -130,10 +127,7 @@ async fn slow_answers_are_waited_for() {
         server.misbehave_first(1, "PUT ", Fault::Late(wait));
         let blob = blobs.put_bytes(noise(wait.as_millis() as u64, 1000)).await;
         let blob = blob.unwrap();
-        assert_eq!(
-            object(&server.objects(), &blob).metadata().unwrap().len(),
-            blob.bytes
-        );
+        assert_eq!(object(&server.objects(), &blob).metadata().unwrap().len(), blob.bytes);
         server.misbehave_first(1, "GET ", Fault::Late(wait));
         blobs.fetch(&blob, &to).await.unwrap();
     }
@@ -157,10 +151,7 @@ async fn a_missing_server_is_reported() {
     let error = blobs.check().await.unwrap_err();
     assert!(matches!(error, BlobError::Store { .. }), "{error}");
     assert!(began.elapsed() > patience / 2 && began.elapsed() < 6 * patience);
-    assert!(
-        error.to_string().contains("check that it can be reached"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("check that it can be reached"), "{error}");
     assert!(!error.to_string().contains("password"), "{error}");
 }
 
@@ -185,14 +176,8 @@ async fn wrong_credentials_and_buckets_are_reported() {
     for (blobs, error) in [
         (&stranger, stranger.check().await.unwrap_err()),
         (&stranger, stranger.put_bytes(vec![1]).await.unwrap_err()),
-        (
-            &stranger,
-            stranger.older_than(0, Duration::ZERO).await.unwrap_err(),
-        ),
-        (
-            &nowhere,
-            nowhere.older_than(0, Duration::ZERO).await.unwrap_err(),
-        ),
+        (&stranger, stranger.older_than(0, Duration::ZERO).await.unwrap_err()),
+        (&nowhere, nowhere.older_than(0, Duration::ZERO).await.unwrap_err()),
     ] {
         assert!(matches!(error, BlobError::Store { .. }), "{error}");
         assert!(error.to_string().contains(blobs.location()), "{error}");

@@ -27,10 +27,7 @@ fn write(folder: &Path, path: &str, bytes: &[u8]) {
 }
 
 fn kept(path: &str, bytes: &[u8]) -> Kept {
-    Kept {
-        path: path.to_owned(),
-        blob: Blob::of(bytes),
-    }
+    Kept { path: path.to_owned(), blob: Blob::of(bytes) }
 }
 
 /// A folder with the database's knowledge of it.
@@ -42,11 +39,7 @@ struct Folder {
 
 impl Folder {
     fn new() -> Self {
-        Self {
-            dir: tempfile::tempdir().unwrap(),
-            known: HashMap::new(),
-            seen: Seen::default(),
-        }
+        Self { dir: tempfile::tempdir().unwrap(), known: HashMap::new(), seen: Seen::default() }
     }
 
     /// Pushes everything except files below `cache`, and remembers the result.
@@ -248,10 +241,7 @@ async fn pull_fetches_only_different_files() {
     assert_eq!(fs::read(path.join("b/d")).unwrap(), b"");
 
     // A push finds what was pulled.
-    copy.known = all[..3]
-        .iter()
-        .map(|k| (k.path.clone(), k.blob.clone()))
-        .collect();
+    copy.known = all[..3].iter().map(|k| (k.path.clone(), k.blob.clone())).collect();
     assert_eq!(copy.push(&blobs).await, Pushed::default());
 }
 
@@ -280,13 +270,7 @@ async fn paths_that_lead_elsewhere_are_refused() {
     let good = kept("good", b"bad");
     for path in bad {
         let path = path.to_owned();
-        let all = [
-            good.clone(),
-            Kept {
-                path,
-                blob: blob.clone(),
-            },
-        ];
+        let all = [good.clone(), Kept { path, blob: blob.clone() }];
         let pulled = pull(&blobs, &all, &folder, None, &mut Seen::default()).await;
         assert!(matches!(pulled, Err(BlobError::Damaged { .. })), "{all:?}");
     }
@@ -311,10 +295,7 @@ async fn pull_replaces_links_without_following_them() {
     let mut folder = Folder::new();
     let file = folder.dir.path().join("a");
     symlink(&secret, &file).unwrap();
-    let all = [Kept {
-        path: "a".into(),
-        blob,
-    }];
+    let all = [Kept { path: "a".into(), blob }];
     assert_eq!(folder.pull(&blobs, &all, true).await.files, 1);
     assert!(!file.is_symlink());
     assert_eq!(fs::read(&secret).unwrap(), b"old");
@@ -330,10 +311,7 @@ async fn pull_leaves_no_partial_file() {
     let mut folder = Folder::new();
     let path = folder.dir.path().to_owned();
     write(&path, "a", &old);
-    let all = ["a", "b"].map(|path| Kept {
-        path: path.into(),
-        blob: blob.clone(),
-    });
+    let all = ["a", "b"].map(|path| Kept { path: path.into(), blob: blob.clone() });
     server.misbehave_first(100, "GET ", Fault::CutAfter(2 << 20));
     let failed = pull(&blobs, &all, &path, None, &mut folder.seen).await;
     assert!(matches!(failed, Err(BlobError::BrokenOff { .. })));

@@ -107,8 +107,7 @@ async fn no_content_has_a_wrong_digest() {
         let writing = || {
             let mut file = File::options().write(true).open(&written).unwrap();
             for turn in (0_u64..).take_while(|_| !stop.load(Ordering::Relaxed)) {
-                file.seek(std::io::SeekFrom::Start(turn * 4096 % bytes as u64))
-                    .unwrap();
+                file.seek(std::io::SeekFrom::Start(turn * 4096 % bytes as u64)).unwrap();
                 file.write_all(&turn.to_le_bytes()).unwrap();
             }
         };

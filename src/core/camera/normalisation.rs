@@ -38,11 +38,7 @@ pub struct Normalisation {
 
 impl Default for Normalisation {
     fn default() -> Self {
-        Self {
-            offset: DVec3::ZERO,
-            scale: 1.0,
-            left_out: false,
-        }
+        Self { offset: DVec3::ZERO, scale: 1.0, left_out: false }
     }
 }
 
@@ -52,10 +48,7 @@ impl Normalisation {
         let Some(first) = cameras.first().map(place) else {
             return Self::default();
         };
-        let near_first = Self {
-            offset: first,
-            ..Self::default()
-        };
+        let near_first = Self { offset: first, ..Self::default() };
         let moved: Vec<Camera> = cameras.iter().map(|c| near_first.within(c)).collect();
         let (middle, inlying) = inlying(&moved);
         let size = viewing_distance(&inlying);
@@ -68,11 +61,7 @@ impl Normalisation {
         let largest = offset.abs().max_element();
         let of_f32 = (largest.log2().floor() - f64::from(f32::MANTISSA_DIGITS - 1)).exp2();
         let steps = (size / LEAST_SIZE).log(SCALE_STEP).floor();
-        Self {
-            offset,
-            scale: SCALE_STEP.powi(-(steps as i32)),
-            left_out: of_f32 > COARSEST * size,
-        }
+        Self { offset, scale: SCALE_STEP.powi(-(steps as i32)), left_out: of_f32 > COARSEST * size }
     }
 
     /// Whether it changes nothing.
@@ -115,11 +104,7 @@ impl Normalisation {
 
     /// The offset that the coordinates of PLY files leave out.
     pub fn missing_in_files(&self) -> DVec3 {
-        if self.left_out {
-            self.offset
-        } else {
-            DVec3::ZERO
-        }
+        if self.left_out { self.offset } else { DVec3::ZERO }
     }
 }
 
@@ -142,9 +127,7 @@ fn inlying(cameras: &[Camera]) -> (DVec3, Vec<Camera>) {
 /// outwards, twice their extent; 0 where all stand at one place.
 pub fn viewing_distance(cameras: &[Camera]) -> f64 {
     let centres: Vec<DVec3> = cameras.iter().map(Camera::centre).collect();
-    let apart = centres
-        .iter()
-        .flat_map(|a| centres.iter().map(|b| a.distance(*b)));
+    let apart = centres.iter().flat_map(|a| centres.iter().map(|b| a.distance(*b)));
     let extent = apart.fold(0.0, f64::max);
     if extent <= 0.0 {
         return 0.0;
@@ -160,17 +143,11 @@ pub fn viewing_distance(cameras: &[Camera]) -> f64 {
     }
     let conditioned = matrix.determinant() > 1e-4 * (cameras.len() as f64).powi(3);
     let focus = matrix.inverse() * vector;
-    let depths = cameras
-        .iter()
-        .zip(&centres)
-        .map(|(camera, centre)| camera.forward().dot(focus - *centre));
+    let depths =
+        cameras.iter().zip(&centres).map(|(camera, centre)| camera.forward().dot(focus - *centre));
     // A focus behind the cameras means that they look outwards.
     let depth = if conditioned { median(depths) } else { 0.0 };
-    if depth > 1e-6 * extent {
-        depth
-    } else {
-        2.0 * extent
-    }
+    if depth > 1e-6 * extent { depth } else { 2.0 * extent }
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {

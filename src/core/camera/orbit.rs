@@ -35,10 +35,7 @@ impl Orbit {
         let centre = look_at_point(&cameras, middle)?;
         let towards = middle - centre;
         let level = (towards - up * towards.dot(up)).try_normalize()?;
-        let mut distances: Vec<f64> = cameras
-            .iter()
-            .map(|c| c.centre().distance(centre))
-            .collect();
+        let mut distances: Vec<f64> = cameras.iter().map(|c| c.centre().distance(centre)).collect();
         distances.sort_by(f64::total_cmp);
         let radius = distances[distances.len() / 2];
         let elevation = towards.dot(up).atan2(towards.dot(level));
@@ -102,10 +99,7 @@ fn mean(cameras: &[Camera], of: fn(&Camera) -> DVec3) -> DVec3 {
 
 /// The point nearest to all optical axes, least squares, drawn slightly to a guess in front.
 fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
-    let spread = cameras
-        .iter()
-        .map(|c| c.centre().distance(middle))
-        .fold(0.0, f64::max);
+    let spread = cameras.iter().map(|c| c.centre().distance(middle)).fold(0.0, f64::max);
     let forward = mean(cameras, Camera::forward).try_normalize();
     let guess =
         middle + forward.unwrap_or(DVec3::ZERO) * if spread > 0.0 { 2.0 * spread } else { 1.0 };
@@ -120,11 +114,7 @@ fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
     }
     let point = matrix.inverse() * vector;
     let in_front = forward.is_none_or(|forward| (point - middle).dot(forward) > 0.0);
-    let chosen = if in_front && point.is_finite() {
-        point
-    } else {
-        guess
-    };
+    let chosen = if in_front && point.is_finite() { point } else { guess };
     chosen.is_finite().then_some(chosen)
 }
 
@@ -134,14 +124,7 @@ mod tests {
     use super::*;
 
     fn ring(centre: DVec3, radius: f64, degrees: f64) -> Vec<NamedCamera> {
-        let k = Intrinsics {
-            width: 200,
-            height: 100,
-            fx: 150.0,
-            fy: 150.0,
-            cx: 100.0,
-            cy: 50.0,
-        };
+        let k = Intrinsics { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 100.0, cy: 50.0 };
         (-3..=3)
             .map(|i| {
                 let angle = (f64::from(i) * degrees / 3.0).to_radians();
@@ -160,11 +143,7 @@ mod tests {
         let centre = DVec3::new(3.0, 1.0, 7.0);
         let orbit = Orbit::from_cameras(&ring(centre, 4.0, 60.0)).expect("an orbit");
         assert!((orbit.centre - centre).length() < 0.05, "{}", orbit.centre);
-        assert!(
-            (orbit.radius - 4.0 * 1.04_f64.sqrt()).abs() < 0.05,
-            "{}",
-            orbit.radius
-        );
+        assert!((orbit.radius - 4.0 * 1.04_f64.sqrt()).abs() < 0.05, "{}", orbit.radius);
     }
 
     #[test]

@@ -39,11 +39,8 @@ const MAX_TOTAL_RATIO: u64 = 25;
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
 
 /// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
-const READ_METHODS: [CompressionMethod; 3] = [
-    CompressionMethod::Stored,
-    CompressionMethod::Deflated,
-    CompressionMethod::Deflate64,
-];
+const READ_METHODS: [CompressionMethod; 3] =
+    [CompressionMethod::Stored, CompressionMethod::Deflated, CompressionMethod::Deflate64];
 
 /// Other methods of programs in use.
 const UNREAD_METHODS: [(CompressionMethod, &str); 6] = [
@@ -120,9 +117,7 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     // 65,535 stands for "see the zip64 record": more than are accepted in any case.
     let count = usize::from(u16::from_le_bytes([record[10], record[11]]));
     if count > MAX_FILES {
-        return Err(ArchiveFault::whole(format!(
-            "more than {MAX_FILES} entries"
-        )));
+        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
     }
     Ok(())
 }
@@ -139,9 +134,7 @@ struct Wanted {
 fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, ArchiveFault> {
     let whole = |error: ZipError| ArchiveFault::whole(told(&error));
     if archive.len() > MAX_FILES {
-        return Err(ArchiveFault::whole(format!(
-            "more than {MAX_FILES} entries"
-        )));
+        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
     }
     if archive.has_duplicate_names() {
         return Err(ArchiveFault::whole("two entries have the same name"));
@@ -157,10 +150,7 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
         check_entry(&name, &entry)?;
         total = total.saturating_add(entry.size());
         if total > MAX_ARCHIVE_BYTES {
-            return Err(ArchiveFault::of(
-                &name,
-                "unpacked, the archive is larger than 8 GiB",
-            ));
+            return Err(ArchiveFault::of(&name, "unpacked, the archive is larger than 8 GiB"));
         }
         let is_only_listed = is_unused(&name);
         if entry.is_file() && (is_only_listed || plays_a_role(&name)) {
@@ -169,18 +159,11 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
                 let shown = name.escape_debug().to_string();
                 return Err(ArchiveFault::of(&shown, "a name with control characters"));
             }
-            wanted.push(Wanted {
-                index,
-                name,
-                size: entry.size(),
-                is_only_listed,
-            });
+            wanted.push(Wanted { index, name, size: entry.size(), is_only_listed });
         }
     }
     if total > TOTAL_RATIO_FREE_BYTES && total / MAX_TOTAL_RATIO > length {
-        return Err(ArchiveFault::whole(
-            "all files together shrunk more than photographs can",
-        ));
+        return Err(ArchiveFault::whole("all files together shrunk more than photographs can"));
     }
     Ok(wanted)
 }
@@ -247,10 +230,7 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     if entry.size() > RATIO_FREE_BYTES && entry.size() / MAX_RATIO > entry.compressed_size() {
         return refuse("shrunk more than a photograph can be");
     }
-    if Path::new(name)
-        .extension()
-        .is_some_and(|extension| extension.eq_ignore_ascii_case("zip"))
-    {
+    if Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip")) {
         return refuse("an archive inside the archive");
     }
     Ok(())
@@ -311,13 +291,10 @@ fn own_file(
         let extension = last.rsplit_once('.').map_or("", |(_, extension)| extension);
         return Ok(target.join(format!("{number:05}.{extension}")));
     }
-    let position = folders
-        .iter()
-        .position(|known| known == folder)
-        .unwrap_or_else(|| {
-            folders.push(folder.to_owned());
-            folders.len() - 1
-        });
+    let position = folders.iter().position(|known| known == folder).unwrap_or_else(|| {
+        folders.push(folder.to_owned());
+        folders.len() - 1
+    });
     let own_folder = target.join(format!("poses{position}"));
     fs::create_dir_all(&own_folder).map_err(CaptureError::io(&own_folder))?;
     // COLMAP wants its points under exactly this name.
@@ -339,14 +316,14 @@ fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), 
         written += read as u64;
         if written > item.size {
             return Err(
-                ArchiveFault::of(&item.name, "longer than the archive's directory says").into(),
+                ArchiveFault::of(&item.name, "longer than the archive's directory says").into()
             );
         }
         io::Write::write_all(&mut out, &buffer[..read]).map_err(CaptureError::io(file))?;
     }
     if written != item.size {
         return Err(
-            ArchiveFault::of(&item.name, "shorter than the archive's directory says").into(),
+            ArchiveFault::of(&item.name, "shorter than the archive's directory says").into()
         );
     }
     Ok(())

@@ -34,11 +34,8 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     let eyes = Eyes::open(watch, layout.photographs.iter().chain(truths));
     let seen = eyes.look_at_all(&layout.photographs);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
-    let mut assessed = Assessed {
-        views: Vec::new(),
-        assessments: Vec::new(),
-        warnings: layout.warnings.clone(),
-    };
+    let mut assessed =
+        Assessed { views: Vec::new(), assessments: Vec::new(), warnings: layout.warnings.clone() };
     // Of equal pictures the one of the shortest path: copies are called `a (1)` and `a copy`.
     let mut originals: HashMap<[u8; 32], &Entry> = HashMap::new();
     let length = |entry: &Entry| entry.path.as_str().len();
@@ -76,9 +73,7 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         };
         fault.assessment(entry)
     };
-    assessed
-        .assessments
-        .extend(layout.unused.iter().map(unused));
+    assessed.assessments.extend(layout.unused.iter().map(unused));
     assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
     assessed
@@ -97,12 +92,7 @@ impl Assessed {
         name: String,
         warnings: Vec<CaptureWarning>,
     ) {
-        let &Header {
-            width,
-            height,
-            focal_px,
-            ..
-        } = header;
+        let &Header { width, height, focal_px, .. } = header;
         self.assessments.push(Assessment {
             name: entry.path.to_string(),
             accepted: true,
@@ -146,11 +136,7 @@ impl Assessed {
             }
         };
         warn("gt_missing", "have no ground truth", &missing);
-        warn(
-            "gt_size",
-            "have ground truth that cannot be read or has another shape",
-            &unusable,
-        );
+        warn("gt_size", "have ground truth that cannot be read or has another shape", &unusable);
     }
 
     fn warn_of_the_whole(&mut self) {
@@ -178,8 +164,7 @@ impl Assessed {
                 size.0,
                 size.1
             );
-            self.warnings
-                .push(CaptureWarning::new("mixed_sizes", message));
+            self.warnings.push(CaptureWarning::new("mixed_sizes", message));
         }
     }
 }
@@ -187,9 +172,7 @@ impl Assessed {
 /// Our own names for the accepted photographs of these names, in the order of their assessments.
 pub fn view_names<'a>(accepted: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut names = Names::default();
-    accepted
-        .map(|name| names.own(PhotoPath::new(name).stem()))
-        .collect()
+    accepted.map(|name| names.own(PhotoPath::new(name).stem())).collect()
 }
 
 /// The names given so far, in lower case.
@@ -206,11 +189,7 @@ impl Names {
     /// replaced, never empty, never starting like an option, unique also where case is ignored.
     fn own(&mut self, stem: &str) -> String {
         let safe = |c: char| {
-            if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') {
-                c
-            } else {
-                '_'
-            }
+            if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') { c } else { '_' }
         };
         let mut base: String = stem.chars().take(LONGEST_NAME).map(safe).collect();
         if !base.starts_with(|c: char| c.is_ascii_alphanumeric()) {

@@ -38,11 +38,7 @@ impl Default for DecodeBudget {
 impl DecodeBudget {
     /// Of so many bytes. What alone needs more is decoded alone.
     pub fn new(bytes: u64) -> Self {
-        Self {
-            bytes,
-            state: Mutex::default(),
-            changed: Condvar::new(),
-        }
+        Self { bytes, state: Mutex::default(), changed: Condvar::new() }
     }
 
     /// Waits until so many bytes are free.
@@ -59,10 +55,7 @@ impl DecodeBudget {
         state.used = state.used.saturating_add(bytes);
         state.served += 1;
         self.changed.notify_all();
-        Share {
-            budget: self,
-            bytes,
-        }
+        Share { budget: self, bytes }
     }
 }
 

@@ -79,13 +79,7 @@ fn walk(
 }
 
 /// Traces that systems leave among files: macOS's packer, Windows and Synology.
-const TRACES: [&str; 5] = [
-    "__macosx",
-    "thumbs.db",
-    "$recycle.bin",
-    "@eadir",
-    "#recycle",
-];
+const TRACES: [&str; 5] = ["__macosx", "thumbs.db", "$recycle.bin", "@eadir", "#recycle"];
 
 /// Whether a name is hidden or a trace of a system. A file that iCloud has not loaded is neither.
 pub(super) fn is_hidden(name: &str) -> bool {
@@ -102,14 +96,9 @@ pub(super) fn natural(a: &str, b: &str) -> Ordering {
         let (number_a, number_b) = (digits(left), digits(right));
         let order = if !number_a.is_empty() && !number_b.is_empty() {
             (left, right) = (&left[number_a.len()..], &right[number_b.len()..]);
-            let (value_a, value_b) = (
-                number_a.trim_start_matches('0'),
-                number_b.trim_start_matches('0'),
-            );
-            value_a
-                .len()
-                .cmp(&value_b.len())
-                .then_with(|| value_a.cmp(value_b))
+            let (value_a, value_b) =
+                (number_a.trim_start_matches('0'), number_b.trim_start_matches('0'));
+            value_a.len().cmp(&value_b.len()).then_with(|| value_a.cmp(value_b))
         } else {
             let mut chars = (left.chars(), right.chars());
             let (x, y) = (chars.0.next(), chars.1.next());
@@ -125,9 +114,7 @@ pub(super) fn natural(a: &str, b: &str) -> Ordering {
 }
 
 fn digits(text: &str) -> &str {
-    let end = text
-        .find(|c: char| !c.is_ascii_digit())
-        .unwrap_or(text.len());
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     &text[..end]
 }
 
@@ -138,26 +125,9 @@ mod tests {
 
     #[test]
     fn numbers_are_ordered_by_value_and_letters_without_case() {
-        let mut names = [
-            "img10.jpg",
-            "IMG2.jpg",
-            "img1.jpg",
-            "img02b.jpg",
-            "a.jpg",
-            "img.jpg",
-        ];
+        let mut names = ["img10.jpg", "IMG2.jpg", "img1.jpg", "img02b.jpg", "a.jpg", "img.jpg"];
         names.sort_by(|a, b| natural(a, b));
-        assert_eq!(
-            names,
-            [
-                "a.jpg",
-                "img.jpg",
-                "img1.jpg",
-                "IMG2.jpg",
-                "img02b.jpg",
-                "img10.jpg"
-            ]
-        );
+        assert_eq!(names, ["a.jpg", "img.jpg", "img1.jpg", "IMG2.jpg", "img02b.jpg", "img10.jpg"]);
     }
 
     proptest! {

@@ -149,16 +149,10 @@ pub struct ArchiveFault {
 
 impl ArchiveFault {
     pub(super) fn whole(reason: impl Into<String>) -> Self {
-        Self {
-            entry: None,
-            reason: reason.into(),
-        }
+        Self { entry: None, reason: reason.into() }
     }
 
     pub(super) fn of(entry: &str, reason: impl Into<String>) -> Self {
-        Self {
-            entry: Some(entry.to_owned()),
-            reason: reason.into(),
-        }
+        Self { entry: Some(entry.to_owned()), reason: reason.into() }
     }
 }

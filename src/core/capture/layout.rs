@@ -95,10 +95,8 @@ impl Layout {
             entries.sort_by(|a, b| natural(a.path.as_str(), b.path.as_str()));
         }
         let hold = others.iter().find_map(|e| hold(e.path.as_str()));
-        let unused: Vec<Entry> = { others.iter() }
-            .filter(|entry| is_unused(entry))
-            .cloned()
-            .collect();
+        let unused: Vec<Entry> =
+            { others.iter() }.filter(|entry| is_unused(entry)).cloned().collect();
         // Those that name photographs.
         let are_poses = |e: &&Entry| {
             let name = e.path.name().to_ascii_lowercase();
@@ -108,12 +106,8 @@ impl Layout {
         let has_low_and_high = place::part_low_light(&mut pictures);
         let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
             .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
-        let Place {
-            folder,
-            photographs,
-            others: elsewhere,
-            warning,
-        } = place_of(pictures, &named_poses, &unused)?.named_by(&pose_files::names(&named_poses));
+        let Place { folder, photographs, others: elsewhere, warning } =
+            place_of(pictures, &named_poses, &unused)?.named_by(&pose_files::names(&named_poses));
         let mut warnings = Vec::from_iter(warning);
         let truth = beside_photographs(truth, &photographs, &folder);
         let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
@@ -123,11 +117,7 @@ impl Layout {
         });
         let found = pose_files::find(&others, &folder, &photographs, &elsewhere, &mut warnings);
         let (poses, pose_files) = found.unzip();
-        if poses.is_none()
-            && warnings
-                .iter()
-                .all(|warning| warning.code != "poses_unused")
-        {
+        if poses.is_none() && warnings.iter().all(|warning| warning.code != "poses_unused") {
             warnings.extend(foreign_poses);
         }
         Ok(Self {
@@ -147,13 +137,8 @@ impl Layout {
         let mut hasher = blake3::Hasher::new();
         let mut truth: Vec<&Entry> = self.ground_truth.values().collect();
         truth.sort_by_key(|entry| entry.path.stem().to_lowercase());
-        let photographs = self
-            .photographs
-            .iter()
-            .map(|e| (e.path.inside(&self.folder), e));
-        let others = { truth.into_iter() }
-            .chain(&self.pose_files)
-            .map(|e| (e.path.clone(), e));
+        let photographs = self.photographs.iter().map(|e| (e.path.inside(&self.folder), e));
+        let others = { truth.into_iter() }.chain(&self.pose_files).map(|e| (e.path.clone(), e));
         for (path, entry) in photographs.chain(others) {
             let mut content = blake3::Hasher::new();
             let file = File::open(&entry.file);
@@ -222,10 +207,8 @@ fn place_of(
 /// Removes folders that are around everything, such as the one that a zip of a folder has.
 fn strip_wrappers(entries: &mut [Entry]) {
     loop {
-        let tops: BTreeSet<Option<&str>> = entries
-            .iter()
-            .map(|e| e.path.as_str().split_once('/').map(|(top, _)| top))
-            .collect();
+        let tops: BTreeSet<Option<&str>> =
+            entries.iter().map(|e| e.path.as_str().split_once('/').map(|(top, _)| top)).collect();
         let wrapper = match tops.first() {
             Some(Some(top)) if tops.len() == 1 => (*top).to_owned(),
             _ => return,
@@ -245,9 +228,7 @@ fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry>
     let folders: HashSet<&str> = photographs.iter().map(|e| e.path.folder()).collect();
     let below = |entry: Entry| {
         let path = entry.path.below(folder)?;
-        folders
-            .contains(path.folder())
-            .then_some(Entry { path, ..entry })
+        folders.contains(path.folder()).then_some(Entry { path, ..entry })
     };
     unused.into_iter().filter_map(below).collect()
 }
@@ -283,7 +264,5 @@ fn of_photographs(
     let paths: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
     let found = find_each(&names, &paths)?;
     let pairs = paths.into_iter().zip(found);
-    Ok(pairs
-        .filter_map(|(path, at)| Some((path, truth[at?].clone())))
-        .collect())
+    Ok(pairs.filter_map(|(path, at)| Some((path, truth[at?].clone()))).collect())
 }

@@ -45,11 +45,7 @@ pub(super) struct Fault {
 
 impl Fault {
     pub(super) fn of(reason: String) -> Self {
-        Self {
-            reason,
-            unsupported_format: false,
-            header: None,
-        }
+        Self { reason, unsupported_format: false, header: None }
     }
 
     pub(super) fn assessment(self, entry: &Entry) -> Assessment {
@@ -76,10 +72,7 @@ impl From<ImageError> for Fault {
             ImageError::Io { source, .. } => format!("cannot be read: {source}"),
             error => error.to_string(),
         };
-        Self {
-            unsupported_format: error.is_unsupported_format(),
-            ..Self::of(reason)
-        }
+        Self { unsupported_format: error.is_unsupported_format(), ..Self::of(reason) }
     }
 }
 
@@ -93,25 +86,16 @@ impl<'a> Eyes<'a> {
     /// Asks for the memory that the largest of `all` take.
     pub(super) fn open<'b>(watch: &Watch<'a>, all: impl Iterator<Item = &'b Entry>) -> Self {
         let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file));
-        let mut bytes: Vec<u64> = all
-            .map(|entry| read(entry).map_or(0, |header| header.decoded_bytes))
-            .collect();
+        let mut bytes: Vec<u64> =
+            all.map(|entry| read(entry).map_or(0, |header| header.decoded_bytes)).collect();
         bytes.sort_unstable_by(|a, b| b.cmp(a));
         let largest = bytes.iter().take(DECODED_AT_ONCE).sum();
-        Self {
-            budget: (watch.lend)(largest),
-            tell: watch.tell,
-        }
+        Self { budget: (watch.lend)(largest), tell: watch.tell }
     }
 
     /// Looks at every photograph.
     pub(super) fn look_at_all(&self, photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
-        on_few_threads(|| {
-            photographs
-                .par_iter()
-                .map(|one| self.look_at(one))
-                .collect()
-        })
+        on_few_threads(|| photographs.par_iter().map(|one| self.look_at(one)).collect())
     }
 
     fn header(&self, entry: &Entry) -> Result<Header, ImageError> {
@@ -121,19 +105,13 @@ impl<'a> Eyes<'a> {
     /// The picture, small, once there is memory to decode it.
     fn small(&self, entry: &Entry, header: &Header) -> Result<Image<Srgb>, ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
-        watched(self.tell, entry, || {
-            Image::load_at_most(&entry.file, ASSESSED_SIDE)
-        })
+        watched(self.tell, entry, || Image::load_at_most(&entry.file, ASSESSED_SIDE))
     }
 
     fn look_at(&self, entry: &Entry) -> Result<Seen, Fault> {
         let header = self.header(entry)?;
-        let reject = |reason: String| {
-            Err(Fault {
-                header: Some(header.clone()),
-                ..Fault::of(reason)
-            })
-        };
+        let reject =
+            |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
         if header.width.min(header.height) < SMALLEST_SIDE {
             return reject(format!(
                 "{} x {} px: each side must have at least {SMALLEST_SIDE}",
@@ -143,34 +121,20 @@ impl<'a> Eyes<'a> {
         let small = match self.small(entry, &header) {
             Ok(small) => small,
             Err(error) => {
-                return Err(Fault {
-                    header: Some(header),
-                    ..Fault::from(error)
-                });
+                return Err(Fault { header: Some(header), ..Fault::from(error) });
             }
         };
         let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let v = small.pixels();
         let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
-        let (low, high) = small
-            .data()
-            .iter()
-            .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+        let (low, high) =
+            small.data().iter().fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
         if high - low < 1.5 / 255.0 {
-            let colour = if high < 1.5 / 255.0 {
-                "black"
-            } else {
-                "one colour"
-            };
+            let colour = if high < 1.5 / 255.0 { "black" } else { "one colour" };
             return reject(format!("nothing is seen: the whole picture is {colour}"));
         }
         let sharpness = sharpness(&small);
-        Ok(Seen {
-            header,
-            picture: *blake3::hash(&bytes).as_bytes(),
-            mean_v,
-            sharpness,
-        })
+        Ok(Seen { header, picture: *blake3::hash(&bytes).as_bytes(), mean_v, sharpness })
     }
 
     /// Which views have ground truth among `find`'s, and whether it has a view's proportions,
@@ -203,10 +167,7 @@ fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) 
 
 /// Runs parallel work on so few threads that decoded photographs stay within bounds.
 fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    match rayon::ThreadPoolBuilder::new()
-        .num_threads(DECODED_AT_ONCE)
-        .build()
-    {
+    match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
         Ok(pool) => pool.install(work),
         // No threads of its own to be had: the shared ones do it.
         Err(_) => work(),
@@ -214,9 +175,7 @@ fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
 }
 
 fn largest(image: &Image<Srgb>, i: usize) -> f32 {
-    image.plane(0)[i]
-        .max(image.plane(1)[i])
-        .max(image.plane(2)[i])
+    image.plane(0)[i].max(image.plane(1)[i]).max(image.plane(2)[i])
 }
 
 /// Mean squared gradient of linear luma over the squared mean: independent of exposure. At a
@@ -229,10 +188,7 @@ fn sharpness(small: &Image<Srgb>) -> f32 {
     for y in 0..height - 1 {
         for x in 0..width - 1 {
             let here = luma[y * width + x];
-            let (dx, dy) = (
-                luma[y * width + x + 1] - here,
-                luma[(y + 1) * width + x] - here,
-            );
+            let (dx, dy) = (luma[y * width + x + 1] - here, luma[(y + 1) * width + x] - here);
             energy += f64::from(dx * dx + dy * dy);
         }
     }

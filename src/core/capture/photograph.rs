@@ -60,9 +60,6 @@ pub struct CaptureWarning {
 
 impl CaptureWarning {
     pub(super) fn new(code: &str, message: impl Into<String>) -> Self {
-        Self {
-            code: code.to_owned(),
-            message: message.into(),
-        }
+        Self { code: code.to_owned(), message: message.into() }
     }
 }

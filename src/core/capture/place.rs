@@ -79,14 +79,8 @@ pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
     let is_low = |entry: &Entry| top(entry).is_some_and(|top| top.eq_ignore_ascii_case("low"));
     let below = |entry: &Entry| entry.path.below(top(entry)?);
     let stem = |entry: &Entry| below(entry).map(|path| path.stem().to_lowercase());
-    let low: BTreeSet<_> = { pictures.iter() }
-        .filter(|e| is_low(e))
-        .filter_map(stem)
-        .collect();
-    let mut high = { pictures.iter() }
-        .filter(|e| is_high(e))
-        .filter_map(stem)
-        .peekable();
+    let low: BTreeSet<_> = { pictures.iter() }.filter(|e| is_low(e)).filter_map(stem).collect();
+    let mut high = { pictures.iter() }.filter(|e| is_high(e)).filter_map(stem).peekable();
     if high.peek().is_none() || !high.all(|stem| low.contains(&stem)) {
         return false;
     }
@@ -98,11 +92,7 @@ pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
 
 /// Whether a picture lies in `high/`, which some sets call `normal/`.
 pub(super) fn is_high(entry: &Entry) -> bool {
-    let is_called = |top: &str| {
-        ["high", "normal"]
-            .iter()
-            .any(|n| top.eq_ignore_ascii_case(n))
-    };
+    let is_called = |top: &str| ["high", "normal"].iter().any(|n| top.eq_ignore_ascii_case(n));
     top(entry).is_some_and(is_called)
 }
 
@@ -127,10 +117,8 @@ impl Place {
             let folder = entry.path.folder();
             !folder.is_empty() && folders.contains(folder) && !is_copy(entry)
         };
-        let own = { self.photographs.iter() }.map(|entry| Entry {
-            path: entry.path.inside(&self.folder),
-            ..entry.clone()
-        });
+        let own = { self.photographs.iter() }
+            .map(|entry| Entry { path: entry.path.inside(&self.folder), ..entry.clone() });
         let own: Vec<Entry> = own.collect();
         let named: Vec<&Entry> = self.others.iter().filter(|e| is_named(e)).collect();
         if own.iter().any(is_named) || named.len() < MIN_VIEWS {
@@ -141,11 +129,7 @@ impl Place {
             Some(folder) if of_named.len() == 1 => (*folder).to_owned(),
             _ => String::new(),
         };
-        chosen(
-            &folder,
-            own.into_iter().chain(self.others).collect(),
-            is_named,
-        )
+        chosen(&folder, own.into_iter().chain(self.others).collect(), is_named)
     }
 }
 
@@ -172,16 +156,12 @@ pub(super) fn find(
             video: video.map(|entry| entry.path.to_string()),
         });
     }
-    let in_root = { candidates.iter() }
-        .filter(|entry| entry.path.folder().is_empty())
-        .count();
+    let in_root = { candidates.iter() }.filter(|entry| entry.path.folder().is_empty()).count();
     let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();
     let in_images = { candidates.iter() }.filter(|entry| top(entry).is_some_and(is_images));
     let has_images = in_images.count() >= MIN_VIEWS;
     if !has_images && in_root >= MIN_VIEWS && !are_spanned(&tops, poses) {
-        return Ok(chosen("", candidates, |entry| {
-            entry.path.folder().is_empty()
-        }));
+        return Ok(chosen("", candidates, |entry| entry.path.folder().is_empty()));
     }
     for home in HOMES {
         if let Some(homes) = called(home, &candidates) {
@@ -191,17 +171,12 @@ pub(super) fn find(
             if inside < MIN_VIEWS.min(candidates.len()) {
                 continue;
             }
-            let parents: BTreeSet<&str> = { homes.iter() }
-                .map(|home| home.rsplit_once('/').map_or("", |(p, _)| p))
-                .collect();
+            let parents: BTreeSet<&str> =
+                { homes.iter() }.map(|home| home.rsplit_once('/').map_or("", |(p, _)| p)).collect();
             if homes.len() > 1 && !are_spanned(&parents, poses) && !are_parts(&parents) {
                 return Err(scattered(&candidates));
             }
-            let folder = if homes.len() == 1 {
-                homes[0].clone()
-            } else {
-                String::new()
-            };
+            let folder = if homes.len() == 1 { homes[0].clone() } else { String::new() };
             return Ok(chosen(&folder, candidates, is_inside));
         }
     }
@@ -215,9 +190,7 @@ pub(super) fn find(
     let all = are_spanned || tops.is_empty() || in_root >= MIN_VIEWS;
     let only = tops.first().filter(|_| tops.len() == 1 && in_root == 0);
     let folder = only.map_or_else(String::new, |top| (*top).to_owned());
-    Ok(chosen(&folder, candidates, |entry| {
-        all || top(entry).is_some()
-    }))
+    Ok(chosen(&folder, candidates, |entry| all || top(entry).is_some()))
 }
 
 fn is_images(folder: &str) -> bool {
@@ -234,14 +207,8 @@ fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
     let mut by_depth: BTreeMap<usize, BTreeSet<String>> = BTreeMap::new();
     for entry in entries {
         let parts: Vec<&str> = entry.path.folder().split('/').collect();
-        if let Some(at) = parts
-            .iter()
-            .position(|part| part.eq_ignore_ascii_case(name))
-        {
-            by_depth
-                .entry(at)
-                .or_default()
-                .insert(parts[..=at].join("/"));
+        if let Some(at) = parts.iter().position(|part| part.eq_ignore_ascii_case(name)) {
+            by_depth.entry(at).or_default().insert(parts[..=at].join("/"));
         }
     }
     let least = by_depth.into_values().next()?;
@@ -251,9 +218,7 @@ fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
 /// Whether there are poses outside of these folders, which can be those of all.
 fn are_spanned(folders: &BTreeSet<&str>, poses: &[&Entry]) -> bool {
     let is_outside = |folder: &&str, e: &Entry| folder.is_empty() || e.path.below(folder).is_none();
-    poses
-        .iter()
-        .any(|e| folders.iter().all(|folder| is_outside(folder, e)))
+    poses.iter().any(|e| folders.iter().all(|folder| is_outside(folder, e)))
 }
 
 /// Whether folders part one scene: by known words, or as `cam0` and `cam1`, `100CANON` and
@@ -268,9 +233,7 @@ fn are_parts(folders: &BTreeSet<&str>) -> bool {
     };
     all(&is_numbered)
         || all(&is_camera)
-        || PARTS
-            .iter()
-            .any(|words| all(&|folder| words.contains(&folder)))
+        || PARTS.iter().any(|words| all(&|folder| words.contains(&folder)))
 }
 
 /// Those that are meant, with their paths below `folder`.
@@ -285,22 +248,13 @@ fn chosen(folder: &str, candidates: Vec<Entry>, is_meant: impl Fn(&Entry) -> boo
         );
         CaptureWarning::new("elsewhere", message)
     });
-    let photographs = { meant.into_iter() }.map(|entry| Entry {
-        path: entry.path.below(folder).unwrap_or(entry.path),
-        ..entry
-    });
-    Place {
-        folder: folder.to_owned(),
-        photographs: photographs.collect(),
-        others,
-        warning,
-    }
+    let photographs = { meant.into_iter() }
+        .map(|entry| Entry { path: entry.path.below(folder).unwrap_or(entry.path), ..entry });
+    Place { folder: folder.to_owned(), photographs: photographs.collect(), others, warning }
 }
 
 fn scattered(candidates: &[Entry]) -> CaptureError {
-    CaptureError::Scattered {
-        seen: places(candidates),
-    }
+    CaptureError::Scattered { seen: places(candidates) }
 }
 
 /// Folders with how many pictures lie in each.
@@ -320,10 +274,7 @@ pub(super) fn in_words(places: &[(String, usize)]) -> String {
             "" => "the capture's own folder".to_owned(),
             folder => format!("{folder}/"),
         };
-        format!(
-            "{folder} ({count} picture{})",
-            if *count == 1 { "" } else { "s" }
-        )
+        format!("{folder} ({count} picture{})", if *count == 1 { "" } else { "s" })
     };
     let mut told: Vec<String> = places.iter().take(TOLD).map(one).collect();
     if places.len() > TOLD {

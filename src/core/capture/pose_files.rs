@@ -43,8 +43,7 @@ pub(super) fn foreign(entries: &[Entry]) -> Option<CaptureWarning> {
         let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
         let is_none = named_like_a_photograph(Path::new(&path)) || entry.path.lies_in(&NO_POSES);
         let mut all = FOREIGN.iter().filter(|_| !is_none);
-        all.find(|(part, _)| path.contains(part))
-            .map(|(_, program)| program)
+        all.find(|(part, _)| path.contains(part)).map(|(_, program)| program)
     };
     let (entry, program) = { entries.iter() }.find_map(|e| Some((e, program(e)?)))?;
     let message = format!(
@@ -123,10 +122,7 @@ impl Set {
     fn is_beside(&self, pictures: &[Entry], photographs: &[PhotoPath]) -> bool {
         let own = self.files[0].path.folder();
         let ends = own.match_indices('/').map(|(at, _)| at);
-        let mut around = ends
-            .chain([own.len()])
-            .map(|end| &own[..end])
-            .filter(|f| !f.is_empty());
+        let mut around = ends.chain([own.len()]).map(|end| &own[..end]).filter(|f| !f.is_empty());
         around.any(|folder| {
             let inside = pictures.iter().filter(|e| e.path.below(folder).is_some());
             inside.count() >= MIN_VIEWS && photographs.iter().all(|p| p.below(folder).is_none())
@@ -163,10 +159,7 @@ fn unused(entries: &[Entry], sets: &[Set], counts: &[Option<usize>]) -> Option<C
         let name = e.path.name().to_ascii_lowercase();
         POSE_FILES.contains(&&*name) && !e.path.lies_in(&NO_POSES)
     };
-    let lone: Vec<&str> = { entries.iter() }
-        .filter(is_part)
-        .map(|e| e.path.as_str())
-        .collect();
+    let lone: Vec<&str> = { entries.iter() }.filter(is_part).map(|e| e.path.as_str()).collect();
     let message = format!(
         "no poses are read from {}: a COLMAP model is `cameras` and `images` in one folder, both \
          .bin or both .txt, and poses beside other pictures are those of them",
@@ -197,14 +190,9 @@ fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let at = |name: &str| {
         let path = PhotoPath::new(name).inside(folder);
         let mut all = entries.iter();
-        all.find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str()))
-            .cloned()
+        all.find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str())).cloned()
     };
-    let splits = [
-        "transforms_train.json",
-        "transforms_val.json",
-        "transforms_test.json",
-    ];
+    let splits = ["transforms_train.json", "transforms_val.json", "transforms_test.json"];
     let files = [&["transforms.json"][..], &splits, &["poses_bounds.npy"]];
     let sets = files.iter().filter_map(|names| {
         let files: Vec<Entry> = names.iter().filter_map(|name| at(name)).collect();
@@ -227,9 +215,7 @@ fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Set> {
     let mut models = Vec::new();
     for extension in ["bin", "txt"] {
         let is_part = |e: &Entry, part: &str| {
-            e.path
-                .name()
-                .eq_ignore_ascii_case(&format!("{part}.{extension}"))
+            e.path.name().eq_ignore_ascii_case(&format!("{part}.{extension}"))
         };
         for cameras in entries.iter().filter(|e| is_part(e, "cameras")) {
             let own = cameras.path.folder();

@@ -20,9 +20,7 @@ fn picture(seed: usize, width: usize, height: usize) -> Image<Srgb> {
 }
 
 fn jpeg(seed: usize) -> Vec<u8> {
-    picture(seed, 96, 64)
-        .encode(EncodeFormat::Jpeg(90))
-        .expect("encoded")
+    picture(seed, 96, 64).encode(EncodeFormat::Jpeg(90)).expect("encoded")
 }
 
 /// A folder of files by relative path.
@@ -38,10 +36,7 @@ fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
 
 fn open_folder(files: &[(&str, Vec<u8>)]) -> Result<Capture, CaptureError> {
     let folder = folder(files);
-    Capture::open(
-        &folder.path().join("capture"),
-        &folder.path().join("scratch"),
-    )
+    Capture::open(&folder.path().join("capture"), &folder.path().join("scratch"))
 }
 
 type Packer<'a> = &'a dyn Fn(&mut ZipWriter<Cursor<Vec<u8>>>);
@@ -53,9 +48,7 @@ fn zipped(pack: Packer<'_>) -> Vec<u8> {
 }
 
 fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, name: &str, bytes: &[u8]) {
-    writer
-        .start_file(name, SimpleFileOptions::default())
-        .expect("started");
+    writer.start_file(name, SimpleFileOptions::default()).expect("started");
     writer.write_all(bytes).expect("packed");
 }
 
@@ -78,29 +71,15 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
 #[test]
 fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
     for prefix in ["", "images/", "my scene/", "my scene/images/"] {
-        let names: Vec<String> = [10, 2, 1]
-            .iter()
-            .map(|i| format!("{prefix}img{i}.jpg"))
-            .collect();
-        let mut files: Vec<(&str, Vec<u8>)> = names
-            .iter()
-            .enumerate()
-            .map(|(i, name)| (name.as_str(), jpeg(i)))
-            .collect();
+        let names: Vec<String> = [10, 2, 1].iter().map(|i| format!("{prefix}img{i}.jpg")).collect();
+        let mut files: Vec<(&str, Vec<u8>)> =
+            names.iter().enumerate().map(|(i, name)| (name.as_str(), jpeg(i))).collect();
         files.push((
-            if prefix.contains("my") {
-                "my scene/notes.txt"
-            } else {
-                "notes.txt"
-            },
+            if prefix.contains("my") { "my scene/notes.txt" } else { "notes.txt" },
             b"hello".to_vec(),
         ));
         let capture = open_folder(&files).expect("a capture");
-        let names: Vec<_> = capture
-            .views
-            .iter()
-            .map(|view| view.name.as_str())
-            .collect();
+        let names: Vec<_> = capture.views.iter().map(|view| view.name.as_str()).collect();
         assert_eq!(names, ["img1", "img2", "img10"], "{prefix}");
         assert_eq!(capture.views[0].path, PhotoPath::new("img1.jpg"));
         assert_eq!(capture.assessments.len(), 3);
@@ -111,11 +90,7 @@ fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
 #[test]
 fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() {
     for truth in ["gt", "HL"] {
-        let sharp = |width| {
-            picture(9, width, 64)
-                .encode(EncodeFormat::Png)
-                .expect("encoded")
-        };
+        let sharp = |width| picture(9, width, 64).encode(EncodeFormat::Png).expect("encoded");
         let capture = open_folder(&[
             ("images/a.jpg", jpeg(1)),
             ("images/b.jpg", jpeg(2)),
@@ -128,49 +103,27 @@ fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() 
         .expect("a capture");
         let has: Vec<bool> = capture.views.iter().map(|view| view.gt.is_some()).collect();
         assert_eq!(has, [true, false, false, false], "{truth}");
-        let codes: Vec<_> = capture
-            .warnings
-            .iter()
-            .map(|warning| warning.code.as_str())
-            .collect();
-        assert!(
-            codes.contains(&"gt_missing") && codes.contains(&"gt_size"),
-            "{codes:?}"
-        );
+        let codes: Vec<_> = capture.warnings.iter().map(|warning| warning.code.as_str()).collect();
+        assert!(codes.contains(&"gt_missing") && codes.contains(&"gt_size"), "{codes:?}");
     }
 }
 
 #[test]
 fn given_poses_are_found_in_order_of_preference_and_those_of_the_truth_are_not() {
-    let photographs = || {
-        vec![
-            ("images/a.jpg", jpeg(1)),
-            ("images/b.jpg", jpeg(2)),
-            ("images/c.jpg", jpeg(3)),
-        ]
-    };
+    let photographs =
+        || vec![("images/a.jpg", jpeg(1)), ("images/b.jpg", jpeg(2)), ("images/c.jpg", jpeg(3))];
     let with = |more: &[&'static str]| {
         let mut files = photographs();
         files.extend(more.iter().map(|name| (*name, b"x".to_vec())));
         open_folder(&files).expect("a capture").poses
     };
-    assert_eq!(
-        with(&["sparse_gt/cameras.txt", "sparse_gt/images.txt"]),
-        None
-    );
-    assert!(matches!(
-        with(&["poses_bounds.npy"]),
-        Some(GivenPosesFile::PosesBounds(_))
-    ));
+    assert_eq!(with(&["sparse_gt/cameras.txt", "sparse_gt/images.txt"]), None);
+    assert!(matches!(with(&["poses_bounds.npy"]), Some(GivenPosesFile::PosesBounds(_))));
     assert!(matches!(
         with(&["poses_bounds.npy", "transforms.json"]),
         Some(GivenPosesFile::Transforms(_))
     ));
-    let model = with(&[
-        "sparse/0/cameras.bin",
-        "sparse/0/images.bin",
-        "transforms.json",
-    ]);
+    let model = with(&["sparse/0/cameras.bin", "sparse/0/images.bin", "transforms.json"]);
     assert!(matches!(model, Some(GivenPosesFile::ColmapModel(path)) if path.ends_with("sparse/0")));
     assert_eq!(with(&["sparse/cameras.txt", "sparse/points3D.txt"]), None);
 }
@@ -181,10 +134,7 @@ fn a_capture_says_which_photographs_it_holds_out_from_a_zip_too() {
         let photographs = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
         let mut files: Vec<_> = (1..).map(jpeg).zip(photographs).collect();
         files.push((Vec::new(), name));
-        let files: Vec<_> = files
-            .into_iter()
-            .map(|(bytes, name)| (name, bytes))
-            .collect();
+        let files: Vec<_> = files.into_iter().map(|(bytes, name)| (name, bytes)).collect();
         let (folder, zip) = (
             open_folder(&files).expect("a capture"),
             open_zip(&zipped(&|writer| {
@@ -193,10 +143,7 @@ fn a_capture_says_which_photographs_it_holds_out_from_a_zip_too() {
             })),
         );
         let zip = zip.0.expect("a capture");
-        assert_eq!(
-            (folder.hold, &folder.fingerprint),
-            (zip.hold, &zip.fingerprint)
-        );
+        assert_eq!((folder.hold, &folder.fingerprint), (zip.hold, &zip.fingerprint));
         (folder.hold, folder.fingerprint)
     };
     let (nothing, without) = held("hold=one");
@@ -217,12 +164,7 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
         ("6.jpg", b"a text".to_vec()),
         ("7.avif", b"\0\0\0\x18ftypavif\0\0\0\0mif1avif".to_vec()),
         ("8.jpg", jpeg(1)),
-        (
-            "9.png",
-            Image::<Srgb>::new(96, 64)
-                .encode(EncodeFormat::Png)
-                .expect("encoded"),
-        ),
+        ("9.png", Image::<Srgb>::new(96, 64).encode(EncodeFormat::Png).expect("encoded")),
         (".hidden.jpg", jpeg(5)),
     ])
     .expect("a capture");
@@ -231,14 +173,7 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
         .iter()
         .map(|assessment| assessment.reason.clone().expect("rejected"))
         .collect();
-    let parts = [
-        "cut short",
-        "empty",
-        "not a JPEG",
-        "AVIF",
-        "same picture as 1.jpg",
-        "black",
-    ];
+    let parts = ["cut short", "empty", "not a JPEG", "AVIF", "same picture as 1.jpg", "black"];
     for (reason, part) in reasons.iter().zip(parts) {
         assert!(reason.contains(part), "{reason} should say {part}");
     }
@@ -251,29 +186,19 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
 #[test]
 fn captures_without_enough_usable_photographs_are_refused_with_figures() {
     let same = jpeg(1);
-    let identical: Vec<(String, Vec<u8>)> = (0..20)
-        .map(|i| (format!("{i}.jpg"), same.clone()))
-        .collect();
-    let identical: Vec<(&str, Vec<u8>)> = identical
-        .iter()
-        .map(|(n, b)| (n.as_str(), b.clone()))
-        .collect();
+    let identical: Vec<(String, Vec<u8>)> =
+        (0..20).map(|i| (format!("{i}.jpg"), same.clone())).collect();
+    let identical: Vec<(&str, Vec<u8>)> =
+        identical.iter().map(|(n, b)| (n.as_str(), b.clone())).collect();
     let two = [("a.jpg", jpeg(1)), ("b.jpg", jpeg(2))];
-    let cases = [
-        (vec![("a.jpg", b"x".to_vec())], 0),
-        (two.to_vec(), 2),
-        (identical, 1),
-    ];
+    let cases = [(vec![("a.jpg", b"x".to_vec())], 0), (two.to_vec(), 2), (identical, 1)];
     for (files, usable) in cases {
         let error = open_folder(&files).expect_err("too few");
         assert!(
             matches!(&error, CaptureError::TooFew { accepted, .. } if *accepted == usable),
             "{error}"
         );
-        assert!(
-            error.to_string().starts_with(&format!("{usable} of ")),
-            "{error}"
-        );
+        assert!(error.to_string().starts_with(&format!("{usable} of ")), "{error}");
         assert!(!error.is_of_the_machine());
         assert!(error.hint().contains("20 to 60"));
     }
@@ -292,15 +217,9 @@ fn hostile_names_never_become_names_of_ours() {
     .expect("a capture");
     assert_eq!(capture.views.len(), 5);
     for view in &capture.views {
+        assert!(view.name.len() <= 40 && !view.name.starts_with('-'), "{}", view.name);
         assert!(
-            view.name.len() <= 40 && !view.name.starts_with('-'),
-            "{}",
-            view.name
-        );
-        assert!(
-            view.name
-                .chars()
-                .all(|c| c.is_ascii_alphanumeric() || "-_".contains(c)),
+            view.name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c)),
             "{}",
             view.name
         );
@@ -318,18 +237,11 @@ fn the_captures_for_development_are_accepted_whole() {
         let capture = Capture::open(&root.join(name), scratch.path()).expect("a capture");
         assert_eq!(capture.views.len(), count);
         assert!(
-            capture
-                .views
-                .iter()
-                .all(|view| view.gt.is_some() && (view.width, view.height) == size)
+            capture.views.iter().all(|view| view.gt.is_some() && (view.width, view.height) == size)
         );
         assert_eq!(capture.poses, None);
         assert_eq!(
-            capture
-                .assessments
-                .iter()
-                .map(|v| v.warnings.len())
-                .sum::<usize>(),
+            capture.assessments.iter().map(|v| v.warnings.len()).sum::<usize>(),
             0,
             "{:?}",
             capture.assessments
@@ -352,9 +264,7 @@ fn patches(seed: usize, size: usize, gain: f32) -> Image<Srgb> {
 #[test]
 fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
     let png = |image: Image<Srgb>| image.encode(EncodeFormat::Png).expect("encoded");
-    let blurred = patches(4, 160, 0.6)
-        .resize_area(12, 12)
-        .resize_bilinear(160, 160);
+    let blurred = patches(4, 160, 0.6).resize_area(12, 12).resize_bilinear(160, 160);
     let capture = open_folder(&[
         ("1.png", png(patches(1, 160, 0.6))),
         ("2.png", png(patches(2, 160, 0.3))),
@@ -366,23 +276,11 @@ fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
     let codes: Vec<Vec<&str>> = capture
         .assessments
         .iter()
-        .map(|assessment| {
-            assessment
-                .warnings
-                .iter()
-                .map(|warning| warning.code.as_str())
-                .collect()
-        })
+        .map(|assessment| assessment.warnings.iter().map(|warning| warning.code.as_str()).collect())
         .collect();
-    assert_eq!(
-        codes,
-        [vec![], vec![], vec!["dark"], vec!["blurred"], vec![]]
-    );
-    let mixed = capture
-        .warnings
-        .iter()
-        .find(|warning| warning.code == "mixed_sizes")
-        .expect("a warning");
+    assert_eq!(codes, [vec![], vec![], vec!["dark"], vec!["blurred"], vec![]]);
+    let mixed =
+        capture.warnings.iter().find(|warning| warning.code == "mixed_sizes").expect("a warning");
     assert!(mixed.message.starts_with("1 of 5"), "{}", mixed.message);
 }
 
@@ -396,11 +294,7 @@ fn a_phones_videos_beside_its_photographs_are_listed_and_change_nothing() {
     assert_eq!(with_video.fingerprint, alone.fingerprint);
     let last = with_video.assessments.last().expect("listed");
     assert_eq!(last.name, "2.MOV");
-    assert!(
-        last.reason
-            .as_ref()
-            .is_some_and(|reason| reason.contains("by itself"))
-    );
+    assert!(last.reason.as_ref().is_some_and(|reason| reason.contains("by itself")));
 }
 
 #[test]
@@ -414,17 +308,9 @@ fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
     let capture = open_folder(&[&photographs[..], &others].concat()).expect("a capture");
     let told: Vec<String> = capture.assessments[3..]
         .iter()
-        .map(|one| {
-            format!(
-                "{}: {}",
-                one.name,
-                one.reason.as_deref().unwrap_or_default()
-            )
-        })
+        .map(|one| format!("{}: {}", one.name, one.reason.as_deref().unwrap_or_default()))
         .collect();
-    for (told, words) in told
-        .iter()
-        .zip(["4.bmp: BMP", "more.tar.gz: gzip", "walk.mkv: Matroska"])
+    for (told, words) in told.iter().zip(["4.bmp: BMP", "more.tar.gz: gzip", "walk.mkv: Matroska"])
     {
         assert!(told.starts_with(words), "{told}");
     }
@@ -436,10 +322,7 @@ fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
         let folder = folder(&[(name, bytes)]);
         let path = folder.path().join("capture").join(name);
         let error = Capture::open(&path, folder.path()).expect_err(name);
-        assert!(
-            matches!(error, CaptureError::Unread { .. }),
-            "{name}: {error}"
-        );
+        assert!(matches!(error, CaptureError::Unread { .. }), "{name}: {error}");
     }
 }
 
@@ -448,9 +331,6 @@ fn a_path_that_is_no_capture_is_the_users_fault() {
     let folder = folder(&[("a.txt", b"text".to_vec())]);
     let open =
         |name: &str| Capture::open(&folder.path().join(name), folder.path()).expect_err(name);
-    assert!(matches!(
-        open("capture/a.txt"),
-        CaptureError::NotACapture { .. }
-    ));
+    assert!(matches!(open("capture/a.txt"), CaptureError::NotACapture { .. }));
     assert!(!open("missing").is_of_the_machine());
 }

@@ -91,20 +91,13 @@ pub fn take_frames(
     wanted: &Wanted<'_>,
     cancel: &CancelToken,
 ) -> Result<Taken, VideoError> {
-    let ffmpeg = Ffmpeg {
-        command,
-        video,
-        cancel,
-        until: Instant::now() + PATIENCE,
-    };
+    let ffmpeg = Ffmpeg { command, video, cancel, until: Instant::now() + PATIENCE };
     if let Some(format) = Unread::of(video).map_err(VideoError::io(video))? {
         return Err(VideoError::Unread(format));
     }
     let sharpness = measure(&ffmpeg)?;
     if sharpness.len() < super::MIN_VIEWS {
-        return Err(VideoError::TooShort {
-            frames: sharpness.len(),
-        });
+        return Err(VideoError::TooShort { frames: sharpness.len() });
     }
     let chosen = Stretches::of(sharpness.len(), wanted.count).sharpest(&sharpness);
     fs::create_dir_all(wanted.into).map_err(VideoError::io(wanted.into))?;
@@ -122,11 +115,7 @@ pub fn take_frames(
         return Err(VideoError::NoRoom { bytes });
     }
     let files = extract(&ffmpeg, &chosen, wanted, hdr)?;
-    Ok(Taken {
-        frames: sharpness.len(),
-        files,
-        hdr,
-    })
+    Ok(Taken { frames: sharpness.len(), files, hdr })
 }
 
 /// How sharp each frame is.
@@ -171,17 +160,8 @@ fn extract(
         _ => fs::create_dir(&folder).map_err(VideoError::io(&folder))?,
     }
     let count = chosen.len().to_string();
-    let arguments = [
-        "-vf",
-        &filter,
-        "-frames:v",
-        &count,
-        "-f",
-        "image2",
-        "-c:v",
-        "png",
-        "%06d.png",
-    ];
+    let arguments =
+        ["-vf", &filter, "-frames:v", &count, "-f", "image2", "-c:v", "png", "%06d.png"];
     ffmpeg.run(&arguments.map(str::to_owned), Output::Folder(&folder))?;
     let mut files = Vec::with_capacity(chosen.len());
     for (at, number) in chosen.iter().enumerate() {

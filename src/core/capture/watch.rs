@@ -25,9 +25,6 @@ pub struct Watch<'a> {
 impl Watch<'_> {
     /// Nobody is told anything, and the budget is the usual one.
     pub fn nobody() -> Self {
-        Self {
-            lend: &|_| DecodeBudget::default(),
-            tell: &|_| (),
-        }
+        Self { lend: &|_| DecodeBudget::default(), tell: &|_| () }
     }
 }

@@ -32,11 +32,7 @@ impl Candidate {
     fn exactness(&self) -> u64 {
         let observations = self.model.observations() as f64 / self.model.images.len() as f64;
         let error = self.model.mean_error().unwrap_or(f64::MAX).max(1e-3);
-        let share = if self.strategy >= FIRST_LEARNED {
-            0.8
-        } else {
-            1.0
-        };
+        let share = if self.strategy >= FIRST_LEARNED { 0.8 } else { 1.0 };
         (1e6 * share * observations / (error * error)) as u64
     }
 
@@ -49,19 +45,10 @@ impl Candidate {
             let image = images.iter().find(|image| image.name == copy.file)?;
             let lens = self.model.camera_of(image).lens();
             let (width, height) = copy.original;
-            let lens = Lens {
-                intrinsics: lens.intrinsics.resized(width, height),
-                ..lens
-            };
-            let camera = Camera {
-                intrinsics: lens.pinhole(),
-                world_to_camera: image.world_to_camera(),
-            };
-            Some(PosedView {
-                name: view.name.clone(),
-                camera,
-                lens,
-            })
+            let lens = Lens { intrinsics: lens.intrinsics.resized(width, height), ..lens };
+            let camera =
+                Camera { intrinsics: lens.pinhole(), world_to_camera: image.world_to_camera() };
+            Some(PosedView { name: view.name.clone(), camera, lens })
         });
         placed.collect()
     }
@@ -119,9 +106,7 @@ impl Candidate {
 
     /// How many photographs have a place that is believed.
     pub(super) fn believed(&self) -> usize {
-        self.consistency
-            .as_ref()
-            .map_or(self.model.images.len(), |of| of.believed().len())
+        self.consistency.as_ref().map_or(self.model.images.len(), |of| of.believed().len())
     }
 }
 

@@ -82,10 +82,7 @@ impl Consistency {
         }
         let mut views: Vec<usize> = places.into_keys().collect();
         views.sort_unstable();
-        Self {
-            parts: parts(&views, &pairs),
-            pairs,
-        }
+        Self { parts: parts(&views, &pairs), pairs }
     }
 
     /// Share of all matches between placed photographs that fit the model.
@@ -102,10 +99,7 @@ impl Consistency {
 
     /// A photograph's matches with placed ones, and how many of them fit.
     pub fn matches_of(&self, view: usize) -> (usize, usize) {
-        let own = self
-            .pairs
-            .iter()
-            .filter(|pair| pair.first == view || pair.second == view);
+        let own = self.pairs.iter().filter(|pair| pair.first == view || pair.second == view);
         own.fold((0, 0), |(matches, fitting), pair| {
             (matches + pair.matches, fitting + pair.fitting)
         })
@@ -139,10 +133,7 @@ impl Consistency {
 fn placed(model: &SparseModel, copies: &Copies, small: &Copies) -> HashMap<usize, Placed> {
     let mut placed = HashMap::new();
     for image in &model.images {
-        let index = copies
-            .copies
-            .iter()
-            .position(|copy| copy.file == image.name);
+        let index = copies.copies.iter().position(|copy| copy.file == image.name);
         if let Some(index) = index {
             let lens = model.camera_of(image).lens();
             placed.insert(
@@ -189,16 +180,12 @@ fn fitting(a: &Placed, b: &Placed, pair: &PairMatches, found: &Correspondences) 
 
 /// The branches of the maximum spanning tree that fit hold its parts together.
 fn parts(views: &[usize], pairs: &[PairFit]) -> Vec<Vec<usize>> {
-    let mut strongest: Vec<&PairFit> = pairs
-        .iter()
-        .filter(|pair| pair.matches >= LEAST_MATCHES)
-        .collect();
+    let mut strongest: Vec<&PairFit> =
+        pairs.iter().filter(|pair| pair.matches >= LEAST_MATCHES).collect();
     strongest.sort_by_key(|pair| (std::cmp::Reverse(pair.matches), pair.first, pair.second));
     let mut tree = Groups::new(views);
-    let branches: Vec<&PairFit> = strongest
-        .into_iter()
-        .filter(|pair| tree.join(pair.first, pair.second))
-        .collect();
+    let branches: Vec<&PairFit> =
+        strongest.into_iter().filter(|pair| tree.join(pair.first, pair.second)).collect();
     let mut held = Groups::new(views);
     for branch in branches {
         if branch.share() >= LEAST_FIT {

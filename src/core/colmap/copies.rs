@@ -94,11 +94,7 @@ impl Copies {
             dir: dir.to_owned(),
             copies,
             one_camera,
-            zooms: lenses
-                .iter()
-                .filter(|&&lens| lens > 0)
-                .collect::<BTreeSet<_>>()
-                .len(),
+            zooms: lenses.iter().filter(|&&lens| lens > 0).collect::<BTreeSet<_>>().len(),
         })
     }
 
@@ -112,16 +108,9 @@ impl Copies {
         let scaled = |(copy, view): (&Copy, &PoseView)| {
             let share =
                 copy.size.0.max(copy.size.1) as f64 / copy.original.0.max(copy.original.1) as f64;
-            view.focal_px
-                .filter(|f| f.is_finite() && *f > 0.0)
-                .map(|f| f * share)
+            view.focal_px.filter(|f| f.is_finite() && *f > 0.0).map(|f| f * share)
         };
-        let mut focals = self
-            .copies
-            .iter()
-            .zip(views)
-            .map(scaled)
-            .collect::<Option<Vec<_>>>()?;
+        let mut focals = self.copies.iter().zip(views).map(scaled).collect::<Option<Vec<_>>>()?;
         focals.sort_by(f64::total_cmp);
         let middle = focals.get(focals.len() / 2).copied();
         middle.filter(|_| self.one_camera)
@@ -136,17 +125,12 @@ fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
     sorted.sort_by(f64::total_cmp);
     let mut shortest: Vec<f64> = Vec::new();
     for length in sorted {
-        if shortest
-            .last()
-            .is_none_or(|first| length > SAME_LENS * first)
-        {
+        if shortest.last().is_none_or(|first| length > SAME_LENS * first) {
             shortest.push(length);
         }
     }
     let lens = |length: &Option<f64>| {
-        known(length).map_or(0, |length| {
-            shortest.partition_point(|first| *first <= length)
-        })
+        known(length).map_or(0, |length| shortest.partition_point(|first| *first <= length))
     };
     lengths.iter().map(lens).collect()
 }
@@ -158,21 +142,14 @@ impl Copy {
         let original = (header.width, header.height);
         let longest = original.0.max(original.1);
         let size = if small && longest > LARGEST_SMALL_SIDE {
-            let scaled = |side: usize| {
-                (side as f64 * SMALL_SIDE as f64 / longest as f64)
-                    .round()
-                    .max(1.0)
-            };
+            let scaled =
+                |side: usize| (side as f64 * SMALL_SIDE as f64 / longest as f64).round().max(1.0);
             (scaled(original.0) as usize, scaled(original.1) as usize)
         } else {
             original
         };
         // Our own name: nothing of the user's reaches a command line or a list file.
-        Ok(Self {
-            file: format!("v{index:05}.png"),
-            original,
-            size,
-        })
+        Ok(Self { file: format!("v{index:05}.png"), original, size })
     }
 
     fn write(&self, dir: &Path, view: &PoseView) -> Result<(), PosesError> {
@@ -183,9 +160,7 @@ impl Copy {
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
-        brightened(&image)
-            .save(&path)
-            .map_err(|e| PosesError::bad_file(&path, e.to_string()))
+        brightened(&image).save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))
     }
 }
 

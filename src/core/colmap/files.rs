@@ -13,10 +13,7 @@ pub(super) fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesE
         .filter(|dir| SparseModel::stands_in(dir))
         .collect();
     dirs.sort();
-    let models = dirs
-        .iter()
-        .map(|dir| SparseModel::read(dir))
-        .collect::<Result<Vec<_>, _>>()?;
+    let models = dirs.iter().map(|dir| SparseModel::read(dir)).collect::<Result<Vec<_>, _>>()?;
     let ranked = models.into_iter().filter(|model| !model.images.is_empty());
     Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
 }

@@ -84,10 +84,7 @@ impl Search<'_> {
             let (believed, agreeing) = (now.believed(), consistency.agreeing(&found, &strongest));
             let built = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel);
             best = better(best, told(built, sink)?);
-            if best
-                .as_ref()
-                .is_none_or(|best| [believed, total].contains(&best.believed()))
-            {
+            if best.as_ref().is_none_or(|best| [believed, total].contains(&best.believed())) {
                 break;
             }
         }
@@ -111,10 +108,7 @@ impl Search<'_> {
         for (letter, loose) in letters.into_iter().zip([false, true]) {
             let model = self.map(Mapping { letter, loose }, small, &database, cancel)?;
             let placed = model.as_ref().map_or(0, |model| model.images.len());
-            best = better(
-                best,
-                self.weigh(letter, model, small.clone(), evidence, sink),
-            );
+            best = better(best, self.weigh(letter, model, small.clone(), evidence, sink));
             if placed == total {
                 break;
             }
@@ -158,10 +152,7 @@ impl Search<'_> {
     ) -> Result<(), PosesError> {
         let folder = self.request.work_dir.join("learned");
         for (copy, points) in copies.copies.iter().zip(&found.key_points) {
-            write(
-                &folder.join(format!("{}.txt", copy.file)),
-                &features(points),
-            )?;
+            write(&folder.join(format!("{}.txt", copy.file)), &features(points))?;
         }
         let mut settings = self.reading(copies, database)?;
         settings.push(set(&["import_path"], &folder.display()));

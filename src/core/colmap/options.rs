@@ -17,10 +17,7 @@ pub(super) struct Setting {
 
 /// A setting.
 pub(super) fn set(names: &'static [&'static str], value: &dyn std::fmt::Display) -> Setting {
-    Setting {
-        names,
-        value: value.to_string(),
-    }
+    Setting { names, value: value.to_string() }
 }
 
 /// COLMAP 3.8 to 3.12, then 3.13 and later.
@@ -29,17 +26,13 @@ pub(super) const RANDOM_SEED: &[&str] = &["random_seed", "default_random_seed"];
 pub(super) const EXTRACT_USE_GPU: &[&str] =
     &["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"];
 /// Moved in 3.13.
-pub(super) const EXTRACT_THREADS: &[&str] = &[
-    "SiftExtraction.num_threads",
-    "FeatureExtraction.num_threads",
-];
+pub(super) const EXTRACT_THREADS: &[&str] =
+    &["SiftExtraction.num_threads", "FeatureExtraction.num_threads"];
 /// Default 1 aborts in a build without CUDA.
 pub(super) const MATCH_USE_GPU: &[&str] = &["SiftMatching.use_gpu", "FeatureMatching.use_gpu"];
 /// Moved in 3.13.
-pub(super) const GUIDED_MATCHING: &[&str] = &[
-    "SiftMatching.guided_matching",
-    "FeatureMatching.guided_matching",
-];
+pub(super) const GUIDED_MATCHING: &[&str] =
+    &["SiftMatching.guided_matching", "FeatureMatching.guided_matching"];
 
 /// The program with what is known of its options.
 #[derive(Debug)]
@@ -50,10 +43,7 @@ pub(super) struct Prober<'a> {
 
 impl<'a> Prober<'a> {
     pub fn new(runner: &'a Runner) -> Self {
-        Self {
-            runner,
-            known: RefCell::default(),
-        }
+        Self { runner, known: RefCell::default() }
     }
 
     /// Runs `command` with those of `settings` that it has; the others are noted in the log.
@@ -66,12 +56,7 @@ impl<'a> Prober<'a> {
         let known = self.options(command, cancel)?;
         let mut arguments = Vec::new();
         for setting in settings {
-            match setting
-                .names
-                .iter()
-                .rev()
-                .find(|name| known.contains(**name))
-            {
+            match setting.names.iter().rev().find(|name| known.contains(**name)) {
                 Some(name) => arguments.extend([format!("--{name}"), setting.value.clone()]),
                 None => self.runner.note(&format!(
                     "[{command} has no option {}: not sent]",
@@ -96,9 +81,7 @@ impl<'a> Prober<'a> {
         if !options.contains("database_path") {
             return Err(finished.failure(&format!("{command} -h")));
         }
-        self.known
-            .borrow_mut()
-            .insert(command.to_owned(), options.clone());
+        self.known.borrow_mut().insert(command.to_owned(), options.clone());
         Ok(options)
     }
 }

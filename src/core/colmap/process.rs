@@ -37,10 +37,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            wall: Duration::from_secs(4 * 3600),
-            silence: Duration::from_secs(20 * 60),
-        }
+        Self { wall: Duration::from_secs(4 * 3600), silence: Duration::from_secs(20 * 60) }
     }
 }
 
@@ -68,9 +65,7 @@ impl Log {
         if self.left == 0 {
             return;
         }
-        let fits = bytes
-            .len()
-            .min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let fits = bytes.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
         let _ = self.file.write_all(&bytes[..fits]);
         self.left -= fits as u64;
         if self.left == 0 {
@@ -97,16 +92,8 @@ impl Finished {
         let text = self.text();
         let lines: Vec<&str> = text.lines().filter_map(message).collect();
         let tail = lines[lines.len().saturating_sub(5)..].join(" | ");
-        let tail = if tail.is_empty() {
-            "it gave no message".to_owned()
-        } else {
-            tail
-        };
-        PosesError::Tool {
-            command: command.to_owned(),
-            status: self.status.to_string(),
-            tail,
-        }
+        let tail = if tail.is_empty() { "it gave no message".to_owned() } else { tail };
+        PosesError::Tool { command: command.to_owned(), status: self.status.to_string(), tail }
     }
 }
 
@@ -115,10 +102,7 @@ impl Runner {
     pub fn new(program: &Path, limits: Limits, log: Option<&Path>) -> Result<Self, PosesError> {
         let open = |path: &Path| {
             let file = File::create(path).map_err(PosesError::io(path))?;
-            Ok::<_, PosesError>(Mutex::new(Log {
-                file,
-                left: LOG_BYTES,
-            }))
+            Ok::<_, PosesError>(Mutex::new(Log { file, left: LOG_BYTES }))
         };
         let setpriv = Command::new("setpriv")
             .args(["--pdeathsig", "KILL", "true"])
@@ -141,9 +125,7 @@ impl Runner {
 
     fn log_bytes(&self, bytes: &[u8]) {
         if let Some(log) = &self.log {
-            log.lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .write(bytes);
+            log.lock().unwrap_or_else(std::sync::PoisonError::into_inner).write(bytes);
         }
     }
 
@@ -182,25 +164,14 @@ impl Runner {
         // `help` is asked first and runs bare, so that a missing program is the system's own error.
         let mut process = if self.setpriv && command != "help" {
             let mut process = Command::new("setpriv");
-            process
-                .args(["--pdeathsig", "KILL", "--"])
-                .arg(&self.program);
+            process.args(["--pdeathsig", "KILL", "--"]).arg(&self.program);
             process
         } else {
             Command::new(&self.program)
         };
-        process
-            .arg(command)
-            .args(arguments)
-            .env("QT_QPA_PLATFORM", "offscreen");
-        process
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped());
-        CommandWrap::from(process)
-            .wrap(ProcessGroup::leader())
-            .spawn()
-            .map_err(missing)
+        process.arg(command).args(arguments).env("QT_QPA_PLATFORM", "offscreen");
+        process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        CommandWrap::from(process).wrap(ProcessGroup::leader()).spawn().map_err(missing)
     }
 
     /// Follows the child until it ends.

@@ -27,10 +27,7 @@ impl Search<'_> {
         cancel: &CancelToken,
     ) -> Result<Option<Poses>, PosesError> {
         let small = self.small_copies(sink, cancel)?;
-        let mut evidence = Evidence {
-            small: &small,
-            found: None,
-        };
+        let mut evidence = Evidence { small: &small, found: None };
         let unchecked = |why: &str, sink: &mut dyn ProgressSink| {
             let message = format!("the given poses were not refined: {why}");
             sink.warn("poses_unrefined", message);
@@ -52,23 +49,15 @@ impl Search<'_> {
             "poses: {:.0} % of the matches fit the given poses, {:.0} % the found ones: {}",
             100.0 * fits,
             100.0 * found.share(),
-            if stand {
-                "the given ones are kept"
-            } else {
-                "they are refined"
-            }
+            if stand { "the given ones are kept" } else { "they are refined" }
         ));
         if stand {
             return Ok(None);
         }
         let placed = |view: &PosedView| given.iter().find(|given| given.name == view.name);
-        let both = poses
-            .views
-            .iter()
-            .filter_map(|view| Some((view, placed(view)?)));
-        let (from, to): (Vec<_>, Vec<_>) = both
-            .map(|(view, given)| (view.camera, given.camera))
-            .unzip();
+        let both = poses.views.iter().filter_map(|view| Some((view, placed(view)?)));
+        let (from, to): (Vec<_>, Vec<_>) =
+            both.map(|(view, given)| (view.camera, given.camera)).unzip();
         let Some(world) = Similarity::between(&from, &to) else {
             return unchecked(
                 "fewer than three of the photographs were also placed by the search",
@@ -96,9 +85,7 @@ fn in_world(poses: Poses, world: &Similarity, given: &[PosedView], all: &[PoseVi
     }
     // The given poses hold together what no matches connect.
     poses.parts.clear();
-    poses
-        .views
-        .sort_by_key(|view| all.iter().position(|asked| asked.name == view.name));
+    poses.views.sort_by_key(|view| all.iter().position(|asked| asked.name == view.name));
     poses.registered = poses.views.len();
     poses
 }
@@ -116,9 +103,7 @@ fn model_of(given: &[PosedView], views: &[PoseView], copies: &Copies) -> SparseM
             ..view.lens
         };
         model.cameras.push(ModelCamera::of_lens(id, &lens));
-        model
-            .images
-            .push(ModelImage::posed(id, id, copy.file.clone(), &view.camera));
+        model.images.push(ModelImage::posed(id, id, copy.file.clone(), &view.camera));
     }
     model
 }

@@ -38,13 +38,7 @@ impl<'a> Search<'a> {
         acceptance: Acceptance,
         matching: Option<&'a dyn Matching>,
     ) -> Self {
-        Self {
-            runner,
-            prober: Prober::new(runner),
-            request,
-            acceptance,
-            matching,
-        }
+        Self { runner, prober: Prober::new(runner), request, acceptance, matching }
     }
 
     /// Tries strategies until a model is accepted, and takes the best.
@@ -54,10 +48,7 @@ impl<'a> Search<'a> {
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
         let small = self.small_copies(sink, cancel)?;
-        let mut evidence = Evidence {
-            small: &small,
-            found: None,
-        };
+        let mut evidence = Evidence { small: &small, found: None };
         match self.best(&mut evidence, sink, cancel)? {
             Some(best) => self.deliver(&best, &evidence),
             None => Err(self.too_few(0, &evidence)),
@@ -116,10 +107,7 @@ impl<'a> Search<'a> {
             let candidate = match self.attempt(strategy, evidence, sink, cancel) {
                 Ok(candidate) => candidate,
                 Err(error) if error.is_about_the_tool() => {
-                    sink.warn(
-                        "colmap_failed",
-                        format!("strategy {}: {error}", strategy.letter),
-                    );
+                    sink.warn("colmap_failed", format!("strategy {}: {error}", strategy.letter));
                     broken = Some(error);
                     continue;
                 }
@@ -149,20 +137,14 @@ impl<'a> Search<'a> {
             true => Copies::write(&self.request.work_dir.join("full"), views, false, cancel)?,
             false => evidence.small.clone(),
         };
-        let database = self
-            .request
-            .work_dir
-            .join(format!("{}.db", strategy.database));
+        let database = self.request.work_dir.join(format!("{}.db", strategy.database));
         if strategy.database == strategy.letter {
             self.extract(strategy, &copies, &database, cancel)?;
             advance(sink, strategy.letter, 1);
             self.match_pairs(strategy, &database, cancel)?;
         }
         advance(sink, strategy.letter, 2);
-        let mapping = Mapping {
-            letter: strategy.letter,
-            loose: strategy.loose_mapper,
-        };
+        let mapping = Mapping { letter: strategy.letter, loose: strategy.loose_mapper };
         let model = self.map(mapping, &copies, &database, cancel)?;
         advance(sink, strategy.letter, 3);
         Ok(self.weigh(strategy.letter, model, copies, evidence, sink))
@@ -179,9 +161,7 @@ impl<'a> Search<'a> {
     ) -> Option<Candidate> {
         let total = self.request.views.len();
         let Some(model) = model else {
-            sink.log(format!(
-                "poses: strategy {strategy} registered none of {total}"
-            ));
+            sink.log(format!("poses: strategy {strategy} registered none of {total}"));
             return None;
         };
         let found = evidence.found.as_ref();
@@ -191,13 +171,7 @@ impl<'a> Search<'a> {
             Some(consistency) => self.believes(consistency),
             None => self.accepts(&model),
         };
-        let candidate = Candidate {
-            strategy,
-            model,
-            copies,
-            consistency,
-            accepted,
-        };
+        let candidate = Candidate { strategy, model, copies, consistency, accepted };
         let registered = candidate.model.images.len();
         sink.log(format!(
             "poses: strategy {strategy} registered {registered} of {total}, {} of them believed, {:.0} \
@@ -217,10 +191,7 @@ impl<'a> Search<'a> {
     fn seed(&self, letter: char) -> Setting {
         // A fresh attempt with the same seed might repeat the failure.
         let attempt = u64::from(u32::from(letter));
-        set(
-            options::RANDOM_SEED,
-            &(self.request.seed.wrapping_add(attempt) % (1 << 31)),
-        )
+        set(options::RANDOM_SEED, &(self.request.seed.wrapping_add(attempt) % (1 << 31)))
     }
 
     /// How photographs are read into a new database: cameras and lens.
@@ -258,10 +229,7 @@ impl<'a> Search<'a> {
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
         let mut settings = self.reading(copies, database)?;
-        settings.extend([
-            set(options::EXTRACT_USE_GPU, &0),
-            self.seed(strategy.letter),
-        ]);
+        settings.extend([set(options::EXTRACT_USE_GPU, &0), self.seed(strategy.letter)]);
         if strategy.robust_features {
             settings.extend([
                 set(&["SiftExtraction.estimate_affine_shape"], &1),
@@ -297,11 +265,7 @@ impl<'a> Search<'a> {
             settings.push(set(&["SiftMatching.max_ratio"], &0.85));
         }
         let exhaustive = self.request.views.len() <= MOST_EXHAUSTIVE;
-        let command = if exhaustive {
-            "exhaustive_matcher"
-        } else {
-            "sequential_matcher"
-        };
+        let command = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
         self.succeed(command, &settings, cancel)
     }
 
@@ -313,10 +277,7 @@ impl<'a> Search<'a> {
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<Option<SparseModel>, PosesError> {
-        let output = self
-            .request
-            .work_dir
-            .join(format!("sparse-{}", mapping.letter));
+        let output = self.request.work_dir.join(format!("sparse-{}", mapping.letter));
         if output.exists() {
             std::fs::remove_dir_all(&output).map_err(PosesError::io(&output))?;
         }
@@ -337,12 +298,8 @@ impl<'a> Search<'a> {
             ]);
         }
         let finished = self.prober.run("mapper", &settings, cancel)?;
-        let found_nothing = || {
-            finished
-                .text()
-                .to_ascii_lowercase()
-                .contains("failed to create sparse model")
-        };
+        let found_nothing =
+            || finished.text().to_ascii_lowercase().contains("failed to create sparse model");
         if !finished.status.success() && !found_nothing() {
             return Err(finished.failure("mapper"));
         }
@@ -356,11 +313,7 @@ impl<'a> Search<'a> {
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
         let finished = self.prober.run(command, settings, cancel)?;
-        if finished.status.success() {
-            Ok(())
-        } else {
-            Err(finished.failure(command))
-        }
+        if finished.status.success() { Ok(()) } else { Err(finished.failure(command)) }
     }
 
     /// Whether the matches speak for enough of the photographs.
@@ -372,10 +325,8 @@ impl<'a> Search<'a> {
     fn accepts(&self, model: &SparseModel) -> bool {
         let (registered, total) = (model.images.len() as f64, self.request.views.len() as f64);
         // Of fewer than ten photographs a point cannot be seen by many: 2 for two of them.
-        let track = self
-            .acceptance
-            .track
-            .min(2.0 + (self.acceptance.track - 2.0) * (total - 2.0) / 8.0);
+        let track =
+            self.acceptance.track.min(2.0 + (self.acceptance.track - 2.0) * (total - 2.0) / 8.0);
         registered >= self.acceptance.registered * total
             && model.observations() as f64 >= self.acceptance.observations * registered
             && model.mean_track().is_some_and(|mean| mean >= track)
@@ -395,8 +346,7 @@ impl<'a> Search<'a> {
         let all = self.request.views.iter().enumerate();
         let verdicts: Vec<_> = all.map(|(index, view)| best.verdict(index, view)).collect();
         let views = best.placed(self.request.views);
-        self.runner
-            .note(&format!("[strategy {} taken]", best.strategy));
+        self.runner.note(&format!("[strategy {} taken]", best.strategy));
         Ok(Poses {
             registered: views.len(),
             views,
@@ -440,11 +390,7 @@ impl<'a> Search<'a> {
                 in_words(&parts)
             )
         };
-        PosesError::TooFew {
-            registered,
-            total: self.request.views.len(),
-            advice,
-        }
+        PosesError::TooFew { registered, total: self.request.views.len(), advice }
     }
 }
 

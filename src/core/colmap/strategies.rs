@@ -18,12 +18,7 @@ pub struct Acceptance {
 
 impl Default for Acceptance {
     fn default() -> Self {
-        Self {
-            registered: 0.8,
-            observations: 75.0,
-            track: 3.1,
-            salvage: 0.5,
-        }
+        Self { registered: 0.8, observations: 75.0, track: 3.1, salvage: 0.5 }
     }
 }
 
@@ -100,10 +95,8 @@ pub(super) struct Mapping {
 
 /// Progress in thirds of a strategy; the total grows with each strategy that is needed.
 pub(super) fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
-    let strategies_before = STRATEGIES
-        .iter()
-        .take_while(|strategy| strategy.letter != letter)
-        .count() as u64;
+    let strategies_before =
+        STRATEGIES.iter().take_while(|strategy| strategy.letter != letter).count() as u64;
     let (done, total) = (3 * strategies_before + part, 3 * (strategies_before + 1));
     sink.event(&Event::advanced(Stage::Poses, done, total));
 }

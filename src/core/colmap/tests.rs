@@ -63,10 +63,7 @@ impl Scene {
         let script = dir.path().join("colmap");
         std::fs::write(&script, format!("{PRELUDE}{MODEL}{body}")).unwrap();
         std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Self {
-            views: (0..count).map(view).collect(),
-            dir,
-        }
+        Self { views: (0..count).map(view).collect(), dir }
     }
 
     fn tool(&self) -> ColmapCli {
@@ -88,11 +85,7 @@ impl Scene {
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
         tool.poses(
-            &PoseRequest {
-                views: &self.views,
-                work_dir: &self.work_dir(),
-                seed: 1,
-            },
+            &PoseRequest { views: &self.views, work_dir: &self.work_dir(), seed: 1 },
             sink,
             cancel,
         )
@@ -105,35 +98,21 @@ impl Scene {
 
 #[test]
 fn a_good_model_of_strategy_a_is_taken_at_the_originals_size() {
-    let scene = Scene::new(
-        10,
-        r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#,
-    );
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
     let mut stages = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::StageAdvanced { done, total, .. } = event {
             stages.push((*done, *total));
         }
     };
-    let poses = scene
-        .run(&scene.tool(), &mut sink, &CancelToken::new())
-        .unwrap();
-    assert_eq!(
-        (poses.registered, poses.total, poses.strategy),
-        (10, 10, Some('A'))
-    );
+    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
+    assert_eq!((poses.registered, poses.total, poses.strategy), (10, 10, Some('A')));
     assert_eq!(stages, [(0, 3), (1, 3), (2, 3), (3, 3)]);
     assert!(!poses.low_confidence);
     assert_eq!(poses.source, "colmap 3.8");
     let view = &poses.views[3];
-    assert_eq!(
-        (view.name.as_str(), view.camera.translation().x),
-        ("view3", 3.0)
-    );
-    assert_eq!(
-        (view.lens.intrinsics.width, view.lens.intrinsics.fx),
-        (48, 50.0)
-    );
+    assert_eq!((view.name.as_str(), view.camera.translation().x), ("view3", 3.0));
+    assert_eq!((view.lens.intrinsics.width, view.lens.intrinsics.fx), (48, 50.0));
     let json = serde_json::to_string(&poses).unwrap();
     assert_eq!(serde_json::from_str::<Poses>(&json).unwrap(), poses);
 }
@@ -142,69 +121,35 @@ fn a_good_model_of_strategy_a_is_taken_at_the_originals_size() {
 fn known_poses_are_triangulated_at_the_copies_size() {
     let body = r#"[ $command = point_triangulator ] && model "$out" 10 10; exit 0"#;
     let scene = Scene::new(10, body);
-    let request = PoseRequest {
-        views: &scene.views,
-        work_dir: &scene.work_dir(),
-        seed: 1,
-    };
-    let k = crate::camera::Intrinsics {
-        width: 48,
-        height: 32,
-        fx: 50.0,
-        fy: 51.0,
-        cx: 24.0,
-        cy: 16.0,
-    };
+    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
+    let k =
+        crate::camera::Intrinsics { width: 48, height: 32, fx: 50.0, fy: 51.0, cx: 24.0, cy: 16.0 };
     let posed: Vec<PosedView> = (0..9)
         .map(|n| {
             let at = glam::DVec3::new(f64::from(n), 0.0, 0.0);
             let camera = crate::camera::Camera::look_at(k, at, at + glam::DVec3::Z, glam::DVec3::Y);
-            let lens = crate::poses::Lens {
-                intrinsics: k,
-                distortion: crate::poses::Distortion::None,
-            };
-            PosedView {
-                name: format!("view{n}"),
-                camera,
-                lens,
-            }
+            let lens =
+                crate::poses::Lens { intrinsics: k, distortion: crate::poses::Distortion::None };
+            PosedView { name: format!("view{n}"), camera, lens }
         })
         .collect();
-    let points = scene
-        .tool()
-        .triangulate(&request, &posed, &mut Silent, &CancelToken::new())
-        .unwrap();
+    let points =
+        scene.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).unwrap();
     assert_eq!((points.len(), points[0].track), (100, 10));
     let known = crate::poses::model::SparseModel::read(&scene.work_dir().join("known")).unwrap();
-    assert_eq!(
-        (known.images.len(), known.images[3].name.as_str()),
-        (9, "v00003.png")
-    );
-    assert_eq!(
-        known.images[3].world_to_camera(),
-        posed[3].camera.world_to_camera
-    );
+    assert_eq!((known.images.len(), known.images[3].name.as_str()), (9, "v00003.png"));
+    assert_eq!(known.images[3].world_to_camera(), posed[3].camera.world_to_camera);
     assert_eq!(known.cameras[3].params, [50.0, 51.0, 24.0, 16.0]);
     let failing = Scene::new(10, "exit 1");
-    let request = PoseRequest {
-        views: &failing.views,
-        work_dir: &failing.work_dir(),
-        seed: 1,
-    };
+    let request = PoseRequest { views: &failing.views, work_dir: &failing.work_dir(), seed: 1 };
     assert!(
-        failing
-            .tool()
-            .triangulate(&request, &posed, &mut Silent, &CancelToken::new())
-            .is_err()
+        failing.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).is_err()
     );
 }
 
 #[test]
 fn the_gpu_is_never_asked_for() {
-    let scene = Scene::new(
-        10,
-        r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#,
-    );
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
     scene.poses().unwrap();
     let log = scene.log();
     assert!(
@@ -221,11 +166,7 @@ fn newer_option_names_are_used_where_the_help_lists_them() {
         .replace("SiftExtraction", "FeatureExtraction")
         .replace("SiftMatching", "FeatureMatching")
         .replace("--random_seed", "--default_random_seed");
-    std::fs::write(
-        scene.dir.path().join("colmap"),
-        format!("{newer}{MODEL}{body}"),
-    )
-    .unwrap();
+    std::fs::write(scene.dir.path().join("colmap"), format!("{newer}{MODEL}{body}")).unwrap();
     scene.poses().unwrap();
     let log = scene.log();
     assert!(log.contains("--FeatureExtraction.use_gpu 0"), "{log}");
@@ -233,10 +174,7 @@ fn newer_option_names_are_used_where_the_help_lists_them() {
         log.contains("--default_random_seed") && !log.contains("--SiftExtraction.use_gpu"),
         "{log}"
     );
-    assert!(
-        log.contains("has no option ImageReader.single_camera"),
-        "what is not sent is noted"
-    );
+    assert!(log.contains("has no option ImageReader.single_camera"), "what is not sent is noted");
 }
 
 #[test]
@@ -257,11 +195,7 @@ fi; exit 0"#;
         "--random_seed arg (=0)\\n",
         "--random_seed arg (=0)\\n  --Mapper.init_min_tri_angle arg\\n",
     );
-    std::fs::write(
-        scene.dir.path().join("colmap"),
-        format!("{script}{MODEL}{body}"),
-    )
-    .unwrap();
+    std::fs::write(scene.dir.path().join("colmap"), format!("{script}{MODEL}{body}")).unwrap();
     let poses = scene.poses().unwrap();
     assert_eq!((poses.strategy, poses.registered), (Some('B'), 10));
 }
@@ -270,11 +204,9 @@ fi; exit 0"#;
 fn few_registered_photographs_are_named_with_advice() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 4 4; exit 0"#);
     match scene.poses() {
-        Err(PosesError::TooFew {
-            registered: 4,
-            total: 10,
-            advice,
-        }) => assert!(advice.contains("overlap")),
+        Err(PosesError::TooFew { registered: 4, total: 10, advice }) => {
+            assert!(advice.contains("overlap"))
+        }
         other => panic!("{other:?}"),
     }
 }
@@ -292,14 +224,7 @@ fn a_mapper_that_finds_no_start_is_data_and_not_a_fault() {
         5,
         "[ $command = mapper ] && { echo 'ERROR: failed to create sparse model' >&2; exit 1; }; exit 0",
     );
-    assert!(matches!(
-        scene.poses(),
-        Err(PosesError::TooFew {
-            registered: 0,
-            total: 5,
-            ..
-        })
-    ));
+    assert!(matches!(scene.poses(), Err(PosesError::TooFew { registered: 0, total: 5, .. })));
 }
 
 #[test]
@@ -309,11 +234,7 @@ fn a_crash_is_told_with_its_signal_and_last_words() {
         "[ $command = exhaustive_matcher ] && { echo last words; kill -SEGV $$; }; exit 0",
     );
     match scene.poses() {
-        Err(PosesError::Tool {
-            command,
-            status,
-            tail,
-        }) => {
+        Err(PosesError::Tool { command, status, tail }) => {
             assert_eq!(command, "exhaustive_matcher");
             assert!(
                 status.contains("signal: 11") && tail.contains("last words"),
@@ -329,10 +250,7 @@ fn a_program_that_is_not_there_is_missing() {
     let scene = Scene::new(5, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
-    assert!(
-        matches!(outcome, Err(PosesError::Missing { .. })),
-        "{outcome:?}"
-    );
+    assert!(matches!(outcome, Err(PosesError::Missing { .. })), "{outcome:?}");
     assert!(matches!(tool.version(), Err(PosesError::Missing { .. })));
 }
 
@@ -341,12 +259,5 @@ fn two_photographs_are_too_few_before_anything_is_run() {
     let scene = Scene::new(2, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
-    assert!(matches!(
-        outcome,
-        Err(PosesError::TooFew {
-            registered: 0,
-            total: 2,
-            ..
-        })
-    ));
+    assert!(matches!(outcome, Err(PosesError::TooFew { registered: 0, total: 2, .. })));
 }

@@ -16,11 +16,7 @@ impl Search<'_> {
         cancel: &CancelToken,
     ) -> Result<Vec<SparsePoint>, PosesError> {
         let of = |posed: &PosedView| {
-            self.request
-                .views
-                .iter()
-                .find(|view| view.name == posed.name)
-                .cloned()
+            self.request.views.iter().find(|view| view.name == posed.name).cloned()
         };
         let views: Vec<PoseView> = posed.iter().filter_map(of).collect();
         let work = self.request.work_dir;
@@ -75,13 +71,7 @@ fn known_model(posed: &[PosedView], copies: &Copies) -> SparseModel {
         cameras: numbered()
             .map(|((copy, view), id)| {
                 let intrinsics = view.lens.intrinsics.resized(copy.size.0, copy.size.1);
-                ModelCamera::of_lens(
-                    id,
-                    &Lens {
-                        intrinsics,
-                        ..view.lens
-                    },
-                )
+                ModelCamera::of_lens(id, &Lens { intrinsics, ..view.lens })
             })
             .collect(),
         images: numbered()

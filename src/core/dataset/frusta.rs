@@ -25,10 +25,8 @@ pub(super) fn guess(
         let camera = &cameras[index];
         let (near, far) = bounds[index].unwrap_or(fallback);
         let k = &camera.intrinsics;
-        let pixel = DVec2::new(
-            rng.random::<f64>() * k.width as f64,
-            rng.random::<f64>() * k.height as f64,
-        );
+        let pixel =
+            DVec2::new(rng.random::<f64>() * k.width as f64, rng.random::<f64>() * k.height as f64);
         let inverse = 1.0 / far + rng.random::<f64>() * (1.0 / near - 1.0 / far);
         let ray = DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
         camera.rotation().transpose() * (ray / inverse - camera.translation())
@@ -36,23 +34,12 @@ pub(super) fn guess(
     let mut point = |index: usize| {
         let mut position = draw(index);
         for _ in 1..DRAWS {
-            if cameras
-                .iter()
-                .filter(|camera| sees(camera, position))
-                .take(2)
-                .count()
-                == 2
-            {
+            if cameras.iter().filter(|camera| sees(camera, position)).take(2).count() == 2 {
                 break;
             }
             position = draw(index);
         }
-        SparsePoint {
-            position: position.to_array(),
-            colour: [128; 3],
-            error: 0.0,
-            track: 0,
-        }
+        SparsePoint { position: position.to_array(), colour: [128; 3], error: 0.0, track: 0 }
     };
     (0..count).map(|i| point(i % cameras.len())).collect()
 }
@@ -61,9 +48,7 @@ fn sees(camera: &Camera, point: DVec3) -> bool {
     let k = &camera.intrinsics;
     let inside =
         |p: DVec2| p.x >= 0.0 && p.y >= 0.0 && p.x < k.width as f64 && p.y < k.height as f64;
-    camera
-        .project(point)
-        .is_some_and(|(pixel, _)| inside(pixel))
+    camera.project(point).is_some_and(|(pixel, _)| inside(pixel))
 }
 
 /// Depths around the point that all cameras look at, or, where they look in parallel, around

@@ -38,15 +38,10 @@ impl GivenLens {
     /// The lens of a photograph of this size, pixels.
     pub(super) fn at(&self, width: usize, height: usize) -> Lens {
         match *self {
-            Self::Sized(lens) => Lens {
-                intrinsics: lens.intrinsics.resized(width, height),
-                ..lens
-            },
-            Self::OfPhotograph {
-                focal,
-                centre: [cx, cy],
-                distortion,
-            } => {
+            Self::Sized(lens) => {
+                Lens { intrinsics: lens.intrinsics.resized(width, height), ..lens }
+            }
+            Self::OfPhotograph { focal, centre: [cx, cy], distortion } => {
                 let [fx, fy] = match focal {
                     Focal::Pixels(both) => both,
                     Focal::Angles([x, y]) => {
@@ -65,10 +60,7 @@ impl GivenLens {
                     cx: cx.unwrap_or(0.5 * width as f64),
                     cy: cy.unwrap_or(0.5 * height as f64),
                 };
-                Lens {
-                    intrinsics,
-                    distortion,
-                }
+                Lens { intrinsics, distortion }
             }
         }
     }

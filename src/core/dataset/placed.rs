@@ -46,9 +46,7 @@ impl Placed {
                 .map_err(|error| PosesError::bad_file(&view.file, error.to_string()))?;
             match upright(given_view, &header) {
                 Ok(upright) => upright_views.push((view, given_view, upright)),
-                Err(reason) => given
-                    .left_out
-                    .push(LeftOut::new(view.path.as_str(), reason)),
+                Err(reason) => given.left_out.push(LeftOut::new(view.path.as_str(), reason)),
             }
         }
         let is_mirrored = |(_, _, upright): &(_, _, Upright)| upright.turn.is_mirrored();
@@ -64,9 +62,7 @@ impl Placed {
             if upright.turn.is_mirrored() && world == DMat4::IDENTITY {
                 let reason = "it is stored mirrored (EXIF orientation 2, 4, 5 or 7) and others are \
                               not: store all upright, and compute the poses again";
-                given
-                    .left_out
-                    .push(LeftOut::new(view.path.as_str(), reason));
+                given.left_out.push(LeftOut::new(view.path.as_str(), reason));
                 continue;
             }
             placed.push(view, given_view, &upright, world, &given.points);

@@ -18,10 +18,7 @@ pub(super) fn model(dir: &Path) -> Result<(Assignment, Given), PosesError> {
         bounds: None,
         held_out: false,
     };
-    let views = model
-        .images
-        .iter()
-        .map(|image| (&image.name, Some(view(image))));
+    let views = model.images.iter().map(|image| (&image.name, Some(view(image))));
     let views = views.chain(left_out.iter().map(|left_out| (&left_out.name, None)));
     let views = views.map(|(name, view)| (PhotoPath::new(name), view));
     let given = Given {
@@ -35,26 +32,14 @@ pub(super) fn model(dir: &Path) -> Result<(Assignment, Given), PosesError> {
 }
 
 pub(super) fn transforms(file: &Path) -> Result<(Assignment, Given), PosesError> {
-    let Transforms {
-        views,
-        left_out,
-        warnings,
-    } = transforms::read(file)?;
-    let given = Given {
-        left_out,
-        warnings,
-        ..Given::default()
-    };
+    let Transforms { views, left_out, warnings } = transforms::read(file)?;
+    let given = Given { left_out, warnings, ..Given::default() };
     Ok((Assignment::ByPath(views), given))
 }
 
 pub(super) fn poses_bounds(file: &Path) -> Result<(Assignment, Given), PosesError> {
     let view = |row: &BoundedCamera| GivenView {
-        lens: Lens {
-            intrinsics: row.camera.intrinsics,
-            distortion: Distortion::None,
-        }
-        .into(),
+        lens: Lens { intrinsics: row.camera.intrinsics, distortion: Distortion::None }.into(),
         world_to_camera: row.camera.world_to_camera,
         // They only tell where points may be.
         bounds: Some((row.near, row.far))

@@ -31,11 +31,7 @@ fn told(
         }
         _ => (),
     };
-    let request = PoseRequest {
-        views,
-        work_dir,
-        seed: 3,
-    };
+    let request = PoseRequest { views, work_dir, seed: 3 };
     let paths: Vec<PhotoPath> = views.iter().map(|view| view.path.clone()).collect();
     let given = GivenPoses::open(file, &paths).unwrap();
     let poses = given.poses(&request, &mut sink, &CancelToken::new());
@@ -52,14 +48,7 @@ struct Capture {
 fn capture() -> Capture {
     let dir = tempfile::tempdir().unwrap();
     let image: Image<Srgb> = Image::new(40, 30);
-    let k = Intrinsics {
-        width: 80,
-        height: 60,
-        fx: 70.0,
-        fy: 70.0,
-        cx: 40.0,
-        cy: 30.0,
-    };
+    let k = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
     let name = |i: usize| format!("photo{i}");
     let views = (0..4).map(|i| {
         let file = dir.path().join(format!("{}.png", name(i)));
@@ -73,23 +62,14 @@ fn capture() -> Capture {
     });
     let views = views.collect();
     let eye = |i: usize| DVec3::new(i as f64 - 1.5, 0.1 * i as f64, -4.0);
-    let cameras = (0..4)
-        .map(|i| Camera::look_at(k, eye(i), DVec3::new(0.0, 0.0, 0.5), DVec3::Y))
-        .collect();
-    Capture {
-        dir,
-        views,
-        cameras,
-    }
+    let cameras =
+        (0..4).map(|i| Camera::look_at(k, eye(i), DVec3::new(0.0, 0.0, 0.5), DVec3::Y)).collect();
+    Capture { dir, views, cameras }
 }
 
 impl Capture {
     fn poses(&self, path: &str) -> Result<Poses, PosesError> {
-        let request = PoseRequest {
-            views: &self.views,
-            work_dir: self.dir.path(),
-            seed: 3,
-        };
+        let request = PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3 };
         GivenPoses::open(&self.dir.path().join(path), &self.paths())?.poses(
             &request,
             &mut Silent,
@@ -106,11 +86,7 @@ impl Capture {
         let rows: Vec<_> = self
             .cameras
             .iter()
-            .map(|camera| BoundedCamera {
-                camera: *camera,
-                near: 2.0,
-                far: 8.0,
-            })
+            .map(|camera| BoundedCamera { camera: *camera, near: 2.0, far: 8.0 })
             .collect();
         let file = self.dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &rows).unwrap();
@@ -118,21 +94,13 @@ impl Capture {
     }
 
     fn request(&self) -> PoseRequest<'_> {
-        PoseRequest {
-            views: &self.views,
-            work_dir: self.dir.path(),
-            seed: 3,
-        }
+        PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3 }
     }
 
     fn assert_right(&self, poses: &Poses) {
         assert_eq!((poses.registered, poses.total), (4, 4));
         for (view, camera) in poses.views.iter().zip(&self.cameras) {
-            assert!(
-                view.camera
-                    .world_to_camera
-                    .abs_diff_eq(camera.world_to_camera, 1e-9)
-            );
+            assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
             assert_eq!(view.camera.intrinsics, camera.intrinsics.resized(40, 30));
         }
     }
@@ -147,13 +115,7 @@ fn a_colmap_model_gives_its_poses_and_points_by_name() {
     let model = SparseModel {
         cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
         // Out of order on purpose.
-        images: capture
-            .cameras
-            .iter()
-            .enumerate()
-            .map(image)
-            .rev()
-            .collect(),
+        images: capture.cameras.iter().enumerate().map(image).rev().collect(),
         points: vec![crate::poses::model::ModelPoint {
             id: 1,
             position: [1.0, 2.0, 3.0],
@@ -162,15 +124,10 @@ fn a_colmap_model_gives_its_poses_and_points_by_name() {
             track: vec![(1, 0), (2, 0)],
         }],
     };
-    model
-        .write_text(&capture.dir.path().join("sparse"))
-        .unwrap();
+    model.write_text(&capture.dir.path().join("sparse")).unwrap();
     let poses = capture.poses("sparse").unwrap();
     capture.assert_right(&poses);
-    assert_eq!(
-        (poses.points.len(), poses.points[0].track, poses.mean_track),
-        (1, 2, Some(2.0))
-    );
+    assert_eq!((poses.points.len(), poses.points[0].track, poses.mean_track), (1, 2, Some(2.0)));
 }
 
 #[test]
@@ -185,9 +142,7 @@ fn a_pose_that_is_off_by_a_millionth_is_not_right() {
         images: capture.cameras.iter().enumerate().map(image).collect(),
         points: Vec::new(),
     };
-    model
-        .write_text(&capture.dir.path().join("sparse"))
-        .unwrap();
+    model.write_text(&capture.dir.path().join("sparse")).unwrap();
     let mut poses = capture.poses("sparse").unwrap();
     poses.views[2].camera.world_to_camera.w_axis.x += 1e-6;
     capture.assert_right(&poses);
@@ -207,11 +162,7 @@ fn transforms_json_has_opengl_axes() {
     let poses = capture.poses("transforms.json").unwrap();
     assert_eq!(poses.registered, 4);
     for (view, camera) in poses.views.iter().zip(&capture.cameras) {
-        assert!(
-            view.camera
-                .world_to_camera
-                .abs_diff_eq(camera.world_to_camera, 1e-9)
-        );
+        assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
         assert!((view.camera.intrinsics.fx - 35.0).abs() < 1e-9);
     }
 }
@@ -225,29 +176,20 @@ fn refined(capture: &Capture, file: &str, fails: bool) -> (Poses, Vec<Option<f64
         let focals = request.views.iter().map(|view| view.focal_px);
         told.lock().unwrap().extend(focals);
         if fails {
-            return Err(PosesError::Matching {
-                detail: "no such node".to_owned(),
-            });
+            return Err(PosesError::Matching { detail: "no such node".to_owned() });
         }
         let mut views = views.to_vec();
         views.swap(0, 1);
         let registered = views.len();
         let source = "refined".to_owned();
-        Ok(Some(Poses {
-            views,
-            registered,
-            source,
-            ..Poses::default()
-        }))
+        Ok(Some(Poses { views, registered, source, ..Poses::default() }))
     }));
     let mut sink = |event: &Event| {
         if let Event::Warning { code, .. } = event {
             warned.push(code.clone());
         }
     };
-    let poses = sfm
-        .poses(&capture.request(), &mut sink, &CancelToken::new())
-        .unwrap();
+    let poses = sfm.poses(&capture.request(), &mut sink, &CancelToken::new()).unwrap();
     let focals = seen.lock().unwrap().clone();
     (poses, focals, warned)
 }
@@ -262,10 +204,7 @@ fn poses_of_a_phone_are_refined_and_those_of_a_bundle_adjustment_are_not() {
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": frames });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
     let (poses, focals, warned) = refined(&capture, "transforms.json", false);
-    assert_eq!(
-        (&*poses.source, &*poses.views[0].name),
-        ("refined", "photo1")
-    );
+    assert_eq!((&*poses.source, &*poses.views[0].name), ("refined", "photo1"));
     assert_eq!(focals, [Some(35.0); 4], "at the photographs' size");
     assert!(warned.is_empty());
     let (poses, _, warned) = refined(&capture, "transforms.json", true);
@@ -334,10 +273,7 @@ fn transforms_without_a_size_are_of_the_photographs() {
         let file = capture.dir.path().join("transforms.json");
         std::fs::write(&file, json.to_string()).unwrap();
         assert!(
-            matches!(
-                capture.poses("transforms.json"),
-                Err(PosesError::BadFile { .. })
-            ),
+            matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })),
             "{optics}"
         );
     }
@@ -355,31 +291,21 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
     };
     let request = capture.request();
     let given = GivenPoses::open(&file, &capture.paths()).unwrap();
-    let poses = given
-        .poses(&request, &mut sink, &CancelToken::new())
-        .unwrap();
+    let poses = given.poses(&request, &mut sink, &CancelToken::new()).unwrap();
     capture.assert_right(&poses);
     assert_eq!(codes, ["points_guessed"]);
     assert_eq!(poses.points.len(), GUESSED_POINTS);
     let seen_by = |point: &SparsePoint| {
         let sees = |camera: &&Camera| {
-            camera
-                .project(DVec3::from(point.position))
-                .is_some_and(|(p, depth)| {
-                    p.x >= 0.0 && p.y >= 0.0 && p.x <= 80.0 && p.y <= 60.0 && depth > 1.5
-                })
+            camera.project(DVec3::from(point.position)).is_some_and(|(p, depth)| {
+                p.x >= 0.0 && p.y >= 0.0 && p.x <= 80.0 && p.y <= 60.0 && depth > 1.5
+            })
         };
         capture.cameras.iter().filter(sees).count()
     };
-    let shared = poses
-        .points
-        .iter()
-        .filter(|point| seen_by(point) >= 2)
-        .count();
+    let shared = poses.points.iter().filter(|point| seen_by(point) >= 2).count();
     assert!(shared as f64 > 0.95 * GUESSED_POINTS as f64, "{shared}");
-    let again = given
-        .poses(&request, &mut Silent, &CancelToken::new())
-        .unwrap();
+    let again = given.poses(&request, &mut Silent, &CancelToken::new()).unwrap();
     assert_eq!(again.points, poses.points);
 }
 
@@ -388,29 +314,13 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
     let capture = capture();
     let file = capture.write_bounds();
     let request = capture.request();
-    let point = SparsePoint {
-        position: [0.0; 3],
-        colour: [9; 3],
-        error: 0.5,
-        track: 3,
-    };
-    let loose = SparsePoint {
-        error: 1.6,
-        track: 2,
-        ..point
-    };
+    let point = SparsePoint { position: [0.0; 3], colour: [9; 3], error: 0.5, track: 3 };
+    let loose = SparsePoint { error: 1.6, track: 2, ..point };
     for (found, point, code) in [
         (LEAST_POINTS, point, None),
         (LEAST_POINTS, loose, Some("poses_unlikely")),
         (LEAST_POINTS, SparsePoint { track: 3, ..loose }, None),
-        (
-            LEAST_POINTS,
-            SparsePoint {
-                error: 0.7,
-                ..loose
-            },
-            None,
-        ),
+        (LEAST_POINTS, SparsePoint { error: 0.7, ..loose }, None),
         (LEAST_POINTS - 1, point, Some("points_guessed")),
     ] {
         let mut codes = Vec::new();
@@ -423,10 +333,7 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
         let given = given.triangulated_by(Box::new(move |_, views, _, _| {
             Ok(vec![point; found * views.len().min(1)])
         }));
-        let points = given
-            .poses(&request, &mut sink, &CancelToken::new())
-            .unwrap()
-            .points;
+        let points = given.poses(&request, &mut sink, &CancelToken::new()).unwrap().points;
         assert_eq!(codes, Vec::from_iter(code));
         let is_found = points.iter().all(|p| *p == point);
         assert_eq!(is_found, code != Some("points_guessed"));
@@ -436,11 +343,7 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
 #[test]
 fn a_count_that_does_not_fit_the_photographs_is_refused() {
     let capture = capture();
-    let row = BoundedCamera {
-        camera: capture.cameras[0],
-        near: 2.0,
-        far: 8.0,
-    };
+    let row = BoundedCamera { camera: capture.cameras[0], near: 2.0, far: 8.0 };
     write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &[row; 3]).unwrap();
     let error = capture.poses("poses_bounds.npy").unwrap_err().to_string();
     assert!(error.contains("3 poses for 4 photographs"), "{error}");
@@ -452,12 +355,7 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
     let refused = capture.poses("transforms.json").expect_err("none of them");
-    let PosesError::TooFew {
-        registered: 0,
-        total: 4,
-        advice,
-    } = refused
-    else {
+    let PosesError::TooFew { registered: 0, total: 4, advice } = refused else {
         panic!("{refused}");
     };
     assert!(
@@ -465,9 +363,6 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
         "the file's name and not where it lies: {advice}"
     );
     std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
-    assert!(matches!(
-        capture.poses("transforms.json"),
-        Err(PosesError::BadFile { .. })
-    ));
+    assert!(matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })));
     assert!(GivenPoses::open(capture.dir.path(), &[]).is_err());
 }

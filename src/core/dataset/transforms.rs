@@ -60,9 +60,8 @@ fn files(file: &Path) -> Result<Vec<(PathBuf, bool)>, PosesError> {
         stem.to_string_lossy().to_lowercase()
     };
     let own = stem(file);
-    let Some((base, _)) = SPLITS
-        .iter()
-        .find_map(|(end, trains)| Some((own.strip_suffix(*end)?, trains)))
+    let Some((base, _)) =
+        SPLITS.iter().find_map(|(end, trains)| Some((own.strip_suffix(*end)?, trains)))
     else {
         return Ok(vec![(file.to_owned(), true)]);
     };
@@ -70,21 +69,14 @@ fn files(file: &Path) -> Result<Vec<(PathBuf, bool)>, PosesError> {
     let mut found = Vec::new();
     for entry in folder.read_dir().map_err(PosesError::io(folder))? {
         let path = entry.map_err(PosesError::io(folder))?.path();
-        let is_json = path
-            .extension()
-            .is_some_and(|e| e.eq_ignore_ascii_case("json"));
-        let split = SPLITS
-            .iter()
-            .position(|(end, _)| stem(&path) == format!("{base}{end}"));
+        let is_json = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("json"));
+        let split = SPLITS.iter().position(|(end, _)| stem(&path) == format!("{base}{end}"));
         if let (true, Some(split)) = (is_json, split) {
             found.push((split, path));
         }
     }
     found.sort();
-    Ok(found
-        .into_iter()
-        .map(|(split, path)| (path, SPLITS[split].1))
-        .collect())
+    Ok(found.into_iter().map(|(split, path)| (path, SPLITS[split].1)).collect())
 }
 
 impl Transforms {
@@ -101,13 +93,11 @@ impl Transforms {
         let held_out = held_out(&content);
         for (index, frame) in frames.iter().enumerate() {
             let name = frame.get("file_path").and_then(Value::as_str);
-            let outcome = name
-                .ok_or_else(|| "it has no `file_path`".to_owned())
-                .and_then(|name| {
-                    let own = frame.as_object().expect("it has a field");
-                    let (view, rotation) = view(&Fields::new(own, &content))?;
-                    Ok((name.to_owned(), view, rotation))
-                });
+            let outcome = name.ok_or_else(|| "it has no `file_path`".to_owned()).and_then(|name| {
+                let own = frame.as_object().expect("it has a field");
+                let (view, rotation) = view(&Fields::new(own, &content))?;
+                Ok((name.to_owned(), view, rotation))
+            });
             match outcome {
                 Ok((name, view, rotation)) => {
                     let held_out = !trains || held_out.contains(&*name);
@@ -118,8 +108,7 @@ impl Transforms {
                     self.views.push((PhotoPath::new(&name), Some(view)));
                 }
                 Err(reason) => {
-                    self.views
-                        .extend(name.map(|name| (PhotoPath::new(name), None)));
+                    self.views.extend(name.map(|name| (PhotoPath::new(name), None)));
                     let name = name.map_or_else(|| format!("frame {index}"), ToOwned::to_owned);
                     self.left_out.push(LeftOut::new(name, reason));
                 }
@@ -148,11 +137,7 @@ impl Transforms {
 fn held_out(content: &Object) -> HashSet<&str> {
     let list = |key: &str| -> HashSet<&str> {
         let names = content.get(key).and_then(Value::as_array);
-        names
-            .into_iter()
-            .flatten()
-            .filter_map(Value::as_str)
-            .collect()
+        names.into_iter().flatten().filter_map(Value::as_str).collect()
     };
     let mut names = list("test_filenames");
     names.extend(list("val_filenames"));
@@ -205,9 +190,7 @@ fn pose(fields: &Fields<'_>) -> Result<(Rotation, DVec3), String> {
     if let Some(&[x, y, z, w]) = rows.get(3)
         && [x, y, z, w - 1.0].iter().any(|v| v.abs() > 1e-3)
     {
-        return Err(of(
-            "has another last row than 0 0 0 1: is it written by columns?",
-        ));
+        return Err(of("has another last row than 0 0 0 1: is it written by columns?"));
     }
     let axes = DMat3::from_cols_array_2d(&[0, 1, 2].map(|c| [rows[0][c], rows[1][c], rows[2][c]]));
     let rotation = rotation(axes).map_err(|what| of(&what))?;

@@ -32,12 +32,7 @@ pub(super) fn upright(given: &GivenView, header: &Header) -> Result<Upright, Str
     let turn = Turn::upright(header.orientation);
     let size = (header.width, header.height);
     let stored = turn.size(size);
-    let of = |size| {
-        given
-            .lens
-            .size()
-            .is_none_or(|given| is_of_shape(given, size))
-    };
+    let of = |size| given.lens.size().is_none_or(|given| is_of_shape(given, size));
     let ahead = |width, height| given.lens.at(width, height);
     if of(stored) {
         return Ok(Upright {

@@ -79,10 +79,7 @@ mod tests {
             let choice = NetworkChoice::from(text.to_owned());
             assert_eq!(choice.as_str(), text);
             assert_eq!(String::from(choice.clone()), text);
-            assert_eq!(
-                matches!(choice, NetworkChoice::Named(_)),
-                !WORDS.contains(&text)
-            );
+            assert_eq!(matches!(choice, NetworkChoice::Named(_)), !WORDS.contains(&text));
         }
     }
 }

@@ -40,17 +40,9 @@ impl Golden {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (values, rest) = bytes.as_chunks::<4>();
         if !rest.is_empty() {
-            return Err(format!(
-                "its output for the self-test has {} bytes",
-                bytes.len()
-            ));
+            return Err(format!("its output for the self-test has {} bytes", bytes.len()));
         }
-        Self::new(
-            values
-                .iter()
-                .map(|value| f32::from_le_bytes(*value))
-                .collect(),
-        )
+        Self::new(values.iter().map(|value| f32::from_le_bytes(*value)).collect())
     }
 
     /// The values in the order of planes, rows, columns.
@@ -61,17 +53,9 @@ impl Golden {
     /// The largest difference from `values`; a value that is not finite counts as infinite.
     pub fn difference(&self, values: &[f32]) -> f32 {
         let far = |(a, b): (&f32, &f32)| {
-            if b.is_finite() {
-                (a - b).abs()
-            } else {
-                f32::INFINITY
-            }
+            if b.is_finite() { (a - b).abs() } else { f32::INFINITY }
         };
-        let short = if values.len() == self.0.len() {
-            0.0
-        } else {
-            f32::INFINITY
-        };
+        let short = if values.len() == self.0.len() { 0.0 } else { f32::INFINITY };
         self.0.iter().zip(values).map(far).fold(short, f32::max)
     }
 }
@@ -92,20 +76,8 @@ fn pattern(turn: impl Fn(usize, usize) -> (usize, usize)) -> Image {
         for x in 0..SIDE {
             let (column, row) = turn(x, y);
             let (u, v) = (column as f32 / SIDE as f32, row as f32 / SIDE as f32);
-            let edge = if column / 16 % 2 == row / 16 % 2 {
-                0.2
-            } else {
-                0.0
-            };
-            image.set(
-                x,
-                y,
-                [
-                    0.2 + 0.5 * u + edge,
-                    0.2 + 0.5 * v + edge,
-                    0.7 - 0.5 * u * v,
-                ],
-            );
+            let edge = if column / 16 % 2 == row / 16 % 2 { 0.2 } else { 0.0 };
+            image.set(x, y, [0.2 + 0.5 * u + edge, 0.2 + 0.5 * v + edge, 0.7 - 0.5 * u * v]);
         }
     }
     image
@@ -127,10 +99,7 @@ mod tests {
     fn every_kind_of_wrong_output_is_detected() {
         let golden = Golden::new(view().data().to_vec()).expect("of the right size");
         assert!(golden.difference(view().data()) <= TOLERANCE);
-        assert!(
-            golden.difference(guide().data()) > TOLERANCE,
-            "view and guide mixed up"
-        );
+        assert!(golden.difference(guide().data()) > TOLERANCE, "view and guide mixed up");
         let mut one = view().data().to_vec();
         one[5] += 0.01;
         assert!(golden.difference(&one) > TOLERANCE);

@@ -82,10 +82,8 @@ impl Model {
     }
 
     fn read(path: &Path) -> Result<Self, DeblurError> {
-        let bytes = std::fs::read(path).map_err(|source| DeblurError::ModelUnreadable {
-            path: path.to_path_buf(),
-            source,
-        })?;
+        let bytes = std::fs::read(path)
+            .map_err(|source| DeblurError::ModelUnreadable { path: path.to_path_buf(), source })?;
         let name = path.file_name().unwrap_or_default();
         Ok(Self {
             id: name.to_string_lossy().into_owned(),

@@ -46,10 +46,7 @@ impl Onnx {
         }
         Self::load_on_cuda(runtime, model, threads).or_else(|error| {
             let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
-            Ok((
-                network,
-                Some(format!("CUDA cannot be used, so the CPU is used: {error}")),
-            ))
+            Ok((network, Some(format!("CUDA cannot be used, so the CPU is used: {error}"))))
         })
     }
 
@@ -64,10 +61,7 @@ impl Onnx {
         if model.golden.is_none() {
             // Without a known output, CUDA must match the CPU's.
             let golden = Self::load_on(runtime, model, Provider::Cpu, threads)?.golden()?;
-            known = Some(Model {
-                golden: Some(golden),
-                ..model.clone()
-            });
+            known = Some(Model { golden: Some(golden), ..model.clone() });
         }
         let model = known.as_ref().unwrap_or(model);
         let on_cuda = |alone| Self::load_strictly(runtime, model, Provider::Cuda, alone, threads);
@@ -104,24 +98,12 @@ impl Onnx {
         alone: bool,
         threads: usize,
     ) -> Result<Self, DeblurError> {
-        let unusable = |detail: String| DeblurError::ModelUnusable {
-            id: model.id.clone(),
-            detail,
-        };
-        let graph = Graph {
-            bytes: &model.bytes,
-            weights: None,
-        };
+        let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
+        let graph = Graph { bytes: &model.bytes, weights: None };
         let session = session(runtime, &graph, provider, alone, threads).map_err(&unusable)?;
         let form = Form::of(&session).map_err(&unusable)?;
         let model = model.without_bytes();
-        let mut network = Self {
-            session,
-            model,
-            form,
-            provider,
-            warnings: Vec::new(),
-        };
+        let mut network = Self { session, model, form, provider, warnings: Vec::new() };
         network.self_test()?;
         Ok(network)
     }
@@ -129,12 +111,7 @@ impl Onnx {
     /// The network's output for the image of the self-test.
     fn golden(&mut self) -> Result<Golden, DeblurError> {
         let (view, guide) = (golden::view(), golden::guide());
-        let tile = Tile {
-            x: 0,
-            y: 0,
-            width: golden::SIDE,
-            height: golden::SIDE,
-        };
+        let tile = Tile { x: 0, y: 0, width: golden::SIDE, height: golden::SIDE };
         let output = self.run(&view, (self.form.channels == 6).then_some(&guide), tile)?;
         let rows = (0..3).flat_map(|channel| (0..golden::SIDE).map(move |y| (channel, y)));
         let own = rows.flat_map(|(channel, y)| output.row(channel, y, golden::SIDE).to_vec());
@@ -142,10 +119,7 @@ impl Onnx {
     }
 
     fn failed(&self, detail: String) -> DeblurError {
-        DeblurError::SelfTest {
-            id: self.model.id.clone(),
-            detail,
-        }
+        DeblurError::SelfTest { id: self.model.id.clone(), detail }
     }
 
     /// Runs the same image twice: the values must be the known ones, or at least in range, and the
@@ -153,34 +127,19 @@ impl Onnx {
     /// not after the poses.
     fn self_test(&mut self) -> Result<(), DeblurError> {
         let (first, second) = (self.golden(), self.golden());
-        let (first, second) = (
-            first.map_err(|e| self.unfit(e))?,
-            second.map_err(|e| self.unfit(e))?,
-        );
+        let (first, second) =
+            (first.map_err(|e| self.unfit(e))?, second.map_err(|e| self.unfit(e))?);
         let [low, high] = self.model.range;
-        if let Some(wrong) = first
-            .values()
-            .iter()
-            .find(|value| !(low..=high).contains(*value))
-        {
+        if let Some(wrong) = first.values().iter().find(|value| !(low..=high).contains(*value)) {
             return Err(self.failed(format!("a value of {wrong} is outside {low}..={high}")));
         }
         // The CPU repeats itself exactly; a GPU may add in another order.
         let apart = first.difference(second.values());
-        if apart
-            > if self.provider == Provider::Cpu {
-                0.0
-            } else {
-                golden::TOLERANCE
-            }
-        {
+        if apart > if self.provider == Provider::Cpu { 0.0 } else { golden::TOLERANCE } {
             return Err(self.failed(format!("two runs on the same image differ by {apart}")));
         }
-        let apart = self
-            .model
-            .golden
-            .as_ref()
-            .map_or(0.0, |known| known.difference(first.values()));
+        let apart =
+            self.model.golden.as_ref().map_or(0.0, |known| known.difference(first.values()));
         if apart > golden::TOLERANCE {
             return Err(self.failed(format!(
                 "on {} its output is off by {apart} from the known one; {} is allowed",
@@ -189,28 +148,16 @@ impl Onnx {
             )));
         }
         let (view, guide) = (golden::view(), golden::guide());
-        let tile = Tile {
-            x: 0,
-            y: 0,
-            width: golden::SIDE,
-            height: golden::SIDE,
-        };
+        let tile = Tile { x: 0, y: 0, width: golden::SIDE, height: golden::SIDE };
         let (width, height) = (golden::SIDE + MULTIPLE, golden::SIDE + 2 * MULTIPLE);
         let guide = (self.form.channels == 6).then_some(&guide);
-        self.run_padded(&view, guide, tile, width, height)
-            .map(drop)
-            .map_err(|e| self.unfit(e))
+        self.run_padded(&view, guide, tile, width, height).map(drop).map_err(|e| self.unfit(e))
     }
 
     /// A network that fails on the images of the self-test is no fault of the program.
     fn unfit(&self, error: DeblurError) -> DeblurError {
         match error {
-            DeblurError::Inference {
-                width,
-                height,
-                detail,
-                ..
-            } => self.failed(format!(
+            DeblurError::Inference { width, height, detail, .. } => self.failed(format!(
                 "{width}x{height} px do not fit it; any multiple of {MULTIPLE} px must: {detail}"
             )),
             other => other,
@@ -242,31 +189,18 @@ impl Onnx {
             _ => vec![blurry],
         };
         let input = tiling::cut(&images, tile, width, height);
-        let values =
-            self.infer(&input, width, height)
-                .map_err(|detail| DeblurError::Inference {
-                    id: self.model.id.clone(),
-                    width,
-                    height,
-                    detail,
-                })?;
-        Ok(Output {
-            values,
-            width,
-            height,
-        })
+        let values = self.infer(&input, width, height).map_err(|detail| {
+            DeblurError::Inference { id: self.model.id.clone(), width, height, detail }
+        })?;
+        Ok(Output { values, width, height })
     }
 
     fn infer(&mut self, input: &[f32], width: usize, height: usize) -> Result<Vec<f32>, String> {
         let shape = [1, self.form.channels as usize, height, width];
         let tensor = TensorRef::from_array_view((shape, input)).map_err(|e| e.to_string())?;
-        let outputs = self
-            .session
-            .run(ort::inputs![tensor])
-            .map_err(|e| e.to_string())?;
-        let (shape, values) = outputs[self.form.output]
-            .try_extract_tensor::<f32>()
-            .map_err(|e| e.to_string())?;
+        let outputs = self.session.run(ort::inputs![tensor]).map_err(|e| e.to_string())?;
+        let (shape, values) =
+            outputs[self.form.output].try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
         if shape[..] != [1, 3, height as i64, width as i64] {
             return Err(format!(
                 "it returned {:?} instead of [1, 3, {height}, {width}]",

@@ -35,10 +35,7 @@ pub struct Opened {
 /// [`Identity`].
 pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
     if *choice == NetworkChoice::Identity {
-        return Ok(Opened {
-            deblurrer: Box::new(Identity),
-            fallbacks: Vec::new(),
-        });
+        return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
     }
     // An unknown network is reported before a missing library.
     let model = Model::find(choice.as_str(), options.models)?;
@@ -52,10 +49,7 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
             info.id
         ));
     }
-    Ok(Opened {
-        deblurrer: Box::new(network),
-        fallbacks,
-    })
+    Ok(Opened { deblurrer: Box::new(network), fallbacks })
 }
 
 /// Opens the network of the option `enhance`; `None` for `curve`.
@@ -70,18 +64,12 @@ pub fn open_enhancer(
         return Ok(None);
     }
     // It never receives a guide, so there is nothing to report about one.
-    let unguided = OpenOptions {
-        unguided: true,
-        ..*options
-    };
+    let unguided = OpenOptions { unguided: true, ..*options };
     let opened = open(enhance, &unguided)?;
     let info = opened.deblurrer.describe();
     if info.channels == 6 {
         let detail = "it requires a guide; a network that brightens takes 3 channels".to_owned();
-        return Err(DeblurError::ModelUnusable {
-            id: info.id,
-            detail,
-        });
+        return Err(DeblurError::ModelUnusable { id: info.id, detail });
     }
     Ok(Some(opened))
 }

@@ -29,12 +29,7 @@ pub struct Tile {
 /// [`TILE`] px, evenly spread, that overlap by at least [`FEATHER`].
 pub fn plan(width: usize, height: usize) -> Vec<Tile> {
     if width * height <= WHOLE {
-        return vec![Tile {
-            x: 0,
-            y: 0,
-            width,
-            height,
-        }];
+        return vec![Tile { x: 0, y: 0, width, height }];
     }
     let mut tiles = Vec::new();
     for (y, tile_height) in spans(height) {
@@ -54,18 +49,14 @@ fn spans(length: usize) -> Vec<(usize, usize)> {
         return vec![(0, length)];
     }
     let gaps = (length - TILE).div_ceil(TILE - FEATHER);
-    (0..=gaps)
-        .map(|i| ((length - TILE) * i / gaps, TILE))
-        .collect()
+    (0..=gaps).map(|i| ((length - TILE) * i / gaps, TILE)).collect()
 }
 
 /// A tile of several images, channel after channel, [3 * images, height, width], padded at the
 /// right and at the bottom by reflection.
 pub fn cut(images: &[&Image], tile: Tile, width: usize, height: usize) -> Vec<f32> {
     let mut out = Vec::with_capacity(3 * images.len() * width * height);
-    let columns: Vec<usize> = (0..width)
-        .map(|x| tile.x + reflect(x, tile.width))
-        .collect();
+    let columns: Vec<usize> = (0..width).map(|x| tile.x + reflect(x, tile.width)).collect();
     for image in images {
         for channel in 0..3 {
             let plane = image.plane(channel);
@@ -96,19 +87,15 @@ pub struct Join {
 
 impl Join {
     pub fn new(width: usize, height: usize) -> Self {
-        Self {
-            sum: Image::new(width, height),
-            weights: vec![0.0; width * height],
-        }
+        Self { sum: Image::new(width, height), weights: vec![0.0; width * height] }
     }
 
     /// Adds a tile's values, [3, rows, stride], of which only the unpadded part is used. `stride`
     /// and `rows` are the padded sides.
     pub fn add(&mut self, tile: Tile, values: &[f32], stride: usize, rows: usize) {
         let (width, height) = (self.sum.width(), self.sum.height());
-        let across: Vec<f32> = (0..tile.width)
-            .map(|i| fade(i, tile.x, tile.width, width))
-            .collect();
+        let across: Vec<f32> =
+            (0..tile.width).map(|i| fade(i, tile.x, tile.width, width)).collect();
         for y in 0..tile.height {
             let down = fade(y, tile.y, tile.height, height);
             let at = (tile.y + y) * width + tile.x;
@@ -141,11 +128,7 @@ impl Join {
 fn fade(i: usize, start: usize, length: usize, whole: usize) -> f32 {
     let ramp = |distance: usize| ((distance as f32 + 0.5) / FEATHER as f32).min(1.0);
     let left = if start > 0 { ramp(i) } else { 1.0 };
-    let right = if start + length < whole {
-        ramp(length - 1 - i)
-    } else {
-        1.0
-    };
+    let right = if start + length < whole { ramp(length - 1 - i) } else { 1.0 };
     left * right
 }
 
@@ -163,17 +146,10 @@ mod tests {
         assert_eq!(plan(1120, 640).len(), 1);
         for (width, height) in [(2400, 1600), (1025, 3000), (1500, 1001)] {
             let tiles = plan(width, height);
-            assert!(
-                tiles
-                    .iter()
-                    .all(|tile| tile.width <= TILE && tile.height <= TILE)
-            );
+            assert!(tiles.iter().all(|tile| tile.width <= TILE && tile.height <= TILE));
             let columns: Vec<Tile> = tiles.iter().copied().filter(|tile| tile.y == 0).collect();
             assert_eq!(
-                (
-                    columns[0].x,
-                    columns[columns.len() - 1].x + columns[columns.len() - 1].width
-                ),
+                (columns[0].x, columns[columns.len() - 1].x + columns[columns.len() - 1].width),
                 (0, width)
             );
             for pair in columns.windows(2) {
@@ -191,12 +167,8 @@ mod tests {
             join.add(tile, &cut(&[&view], tile, width, height), width, height);
         }
         let joined = join.finish();
-        let worst = joined
-            .data()
-            .iter()
-            .zip(view.data())
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f32::max);
+        let worst =
+            joined.data().iter().zip(view.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(worst < 1e-6, "{worst}");
     }
 
@@ -210,12 +182,7 @@ mod tests {
     #[test]
     fn guide_channels_follow_the_view() {
         let (view, guide) = (Image::new(2, 2), gradient(2, 2));
-        let tile = Tile {
-            x: 0,
-            y: 0,
-            width: 2,
-            height: 2,
-        };
+        let tile = Tile { x: 0, y: 0, width: 2, height: 2 };
         let both = cut(&[&view, &guide], tile, 2, 2);
         assert_eq!((&both[..12], &both[12..]), (view.data(), guide.data()));
     }

@@ -96,19 +96,11 @@ impl Anchor {
         let mean = |number: fn(&Self) -> f64| {
             anchors.iter().map(number).sum::<f64>() / anchors.len() as f64
         };
-        let (first, second) = (
-            mean(|anchor| anchor.numbers()[0]),
-            mean(|anchor| anchor.numbers()[1]),
-        );
+        let (first, second) =
+            (mean(|anchor| anchor.numbers()[0]), mean(|anchor| anchor.numbers()[1]));
         match anchors.first().expect("an anchor or more") {
-            Self::Exposure { .. } => Self::Exposure {
-                ev: first,
-                black: second,
-            },
-            Self::Equalised { .. } => Self::Equalised {
-                alpha: first,
-                gamma: second,
-            },
+            Self::Exposure { .. } => Self::Exposure { ev: first, black: second },
+            Self::Equalised { .. } => Self::Equalised { alpha: first, gamma: second },
         }
     }
 
@@ -152,10 +144,7 @@ pub fn anchors(rounds: u32, target: Anchor) -> Vec<Anchor> {
             gamma: gamma.powf(share),
         },
     };
-    (1..rounds)
-        .map(|i| before_last(f64::from(i) / f64::from(rounds)))
-        .chain([target])
-        .collect()
+    (1..rounds).map(|i| before_last(f64::from(i) / f64::from(rounds))).chain([target]).collect()
 }
 
 impl FromStr for Anchor {
@@ -163,13 +152,9 @@ impl FromStr for Anchor {
 
     /// Parses stops (`+3.5EV`), `alpha,gamma`, or the name of a LuSh scene.
     fn from_str(text: &str) -> Result<Self, TargetError> {
-        let fault = |reason: &str| TargetError {
-            text: text.to_owned(),
-            reason: reason.to_owned(),
-        };
-        if let Some(&(_, gamma, alpha)) = PRESETS
-            .iter()
-            .find(|preset| preset.0.eq_ignore_ascii_case(text))
+        let fault = |reason: &str| TargetError { text: text.to_owned(), reason: reason.to_owned() };
+        if let Some(&(_, gamma, alpha)) =
+            PRESETS.iter().find(|preset| preset.0.eq_ignore_ascii_case(text))
         {
             return Ok(Self::Equalised { alpha, gamma });
         }
@@ -207,18 +192,12 @@ mod tests {
 
     #[test]
     fn exposures_rise_by_equal_stops() {
-        assert_eq!(
-            anchors(3, Anchor::exposure(3.0)),
-            [1.0, 2.0, 3.0].map(Anchor::exposure)
-        );
+        assert_eq!(anchors(3, Anchor::exposure(3.0)), [1.0, 2.0, 3.0].map(Anchor::exposure));
     }
 
     #[test]
     fn anchors_of_the_papers_family_are_geometric() {
-        let target = Anchor::Equalised {
-            alpha: 10.0,
-            gamma: 0.8,
-        };
+        let target = Anchor::Equalised { alpha: 10.0, gamma: 0.8 };
         let steps = anchors(2, target);
         let [alpha, gamma] = steps[0].numbers();
         assert!((alpha - 1.0).abs() < 1e-12 && (gamma - 0.8_f64.sqrt()).abs() < 1e-12);
@@ -227,10 +206,7 @@ mod tests {
 
     #[test]
     fn without_equalisation_no_round_has_any() {
-        let target = Anchor::Equalised {
-            alpha: 0.0,
-            gamma: 0.25,
-        };
+        let target = Anchor::Equalised { alpha: 0.0, gamma: 0.25 };
         let steps = anchors(3, target);
         assert!(steps.iter().all(|anchor| anchor.numbers()[0] == 0.0));
         assert!((steps[0].numbers()[1] - 0.25_f64.powf(1.0 / 3.0)).abs() < 1e-12);
@@ -239,20 +215,11 @@ mod tests {
     #[test]
     fn anchors_round_trip_and_pairs_can_still_be_read() {
         for anchor in [
-            Anchor::Exposure {
-                ev: 3.5,
-                black: 0.01,
-            },
-            Anchor::Equalised {
-                alpha: 10.0,
-                gamma: 0.8,
-            },
+            Anchor::Exposure { ev: 3.5, black: 0.01 },
+            Anchor::Equalised { alpha: 10.0, gamma: 0.8 },
         ] {
             let written = serde_json::to_string(&anchor).expect("JSON");
-            assert_eq!(
-                serde_json::from_str::<Anchor>(&written).expect("reads"),
-                anchor
-            );
+            assert_eq!(serde_json::from_str::<Anchor>(&written).expect("reads"), anchor);
         }
         let pair: Anchor = serde_json::from_str("[10.0, 0.8]").expect("a pair");
         assert_eq!(pair.numbers(), [10.0, 0.8]);

@@ -32,11 +32,7 @@ fn shoulder(light: f32) -> f32 {
 /// The bins of a V between 0 and 1: the index of the lower one and the share of the upper one. NaN
 /// counts as black.
 fn bin(v: f32) -> (usize, f32) {
-    let position = if v > 0.0 {
-        v.min(1.0) * (BINS - 1) as f32
-    } else {
-        0.0
-    };
+    let position = if v > 0.0 { v.min(1.0) * (BINS - 1) as f32 } else { 0.0 };
     let low = (position as usize).min(BINS - 2);
     (low, position - low as f32)
 }
@@ -145,10 +141,7 @@ enum Family {
     /// Applied to each channel.
     Exposure { gain: f32, black: f32 },
     /// Built for one histogram: a table on V that preserves hue and saturation, then an exponent.
-    Equalised {
-        table: Option<Box<[f32; BINS]>>,
-        gamma: f32,
-    },
+    Equalised { table: Option<Box<[f32; BINS]>>, gamma: f32 },
 }
 
 impl ToneCurve {
@@ -156,10 +149,9 @@ impl ToneCurve {
     /// in the whole scene, that of one image for the paper's reading.
     pub fn new(histogram: &Histogram, anchor: Anchor) -> Self {
         Self(match anchor {
-            Anchor::Exposure { ev, black } => Family::Exposure {
-                gain: ev.exp2() as f32,
-                black: black as f32,
-            },
+            Anchor::Exposure { ev, black } => {
+                Family::Exposure { gain: ev.exp2() as f32, black: black as f32 }
+            }
             Anchor::Equalised { alpha, gamma } => Family::Equalised {
                 table: histogram.equalisation(alpha).map(Box::new),
                 gamma: gamma as f32,
@@ -170,9 +162,7 @@ impl ToneCurve {
     /// The factor applied first to all channels of a colour.
     pub(super) fn gain(&self, v: f32) -> f32 {
         match &self.0 {
-            Family::Equalised {
-                table: Some(table), ..
-            } => equalised(table, v) / v.max(SMALLEST_V),
+            Family::Equalised { table: Some(table), .. } => equalised(table, v) / v.max(SMALLEST_V),
             _ => 1.0,
         }
     }
@@ -191,9 +181,7 @@ impl ToneCurve {
     /// The mapped V, in 0..=1: monotone.
     pub fn map_v(&self, v: f32) -> f32 {
         match &self.0 {
-            Family::Equalised {
-                table: Some(table), ..
-            } => self.channel(equalised(table, v)),
+            Family::Equalised { table: Some(table), .. } => self.channel(equalised(table, v)),
             _ => self.channel(v),
         }
     }

@@ -30,23 +30,16 @@ pub(super) struct Best {
 }
 
 impl Evolution {
-    pub(super) const PAPER: Self = Self {
-        population: 10,
-        generations: 30,
-        tolerance: 1e-4,
-        crossover: 0.7,
-    };
+    pub(super) const PAPER: Self =
+        Self { population: 10, generations: 30, tolerance: 1e-4, crossover: 0.7 };
 
     /// Minimises `cost` over the unit square with strategy best1bin, F drawn from 0.5..1 for each
     /// generation, from a Latin hypercube. Each generation's costs are computed in parallel from
     /// the previous one, so the outcome depends on the seed alone. A NaN cost loses.
     pub(super) fn minimise(&self, seed: u64, cost: impl Fn(Point) -> f64 + Sync) -> Best {
         let mut rng = Pcg64::seed_from_u64(seed);
-        let safe = |point: &Point| {
-            Some(cost(*point))
-                .filter(|c| !c.is_nan())
-                .unwrap_or(f64::INFINITY)
-        };
+        let safe =
+            |point: &Point| Some(cost(*point)).filter(|c| !c.is_nan()).unwrap_or(f64::INFINITY);
         let mut points = self.latin_hypercube(&mut rng);
         let mut costs: Vec<f64> = points.par_iter().map(safe).collect();
         let mut generation = 0;
@@ -61,28 +54,19 @@ impl Evolution {
             generation += 1;
         }
         let best = best_of(&costs);
-        Best {
-            point: points[best],
-            cost: costs[best],
-            generations: generation,
-        }
+        Best { point: points[best], cost: costs[best], generations: generation }
     }
 
     /// One point in each row and column of a population x population grid.
     fn latin_hypercube(&self, rng: &mut Pcg64) -> Vec<Point> {
         let n = self.population;
         let axes: [Vec<f64>; DIMENSIONS] = std::array::from_fn(|_| {
-            let mut axis: Vec<f64> = (0..n)
-                .map(|i| (i as f64 + rng.random::<f64>()) / n as f64)
-                .collect();
-            (1..n)
-                .rev()
-                .for_each(|i| axis.swap(i, rng.random_range(0..=i)));
+            let mut axis: Vec<f64> =
+                (0..n).map(|i| (i as f64 + rng.random::<f64>()) / n as f64).collect();
+            (1..n).rev().for_each(|i| axis.swap(i, rng.random_range(0..=i)));
             axis
         });
-        (0..n)
-            .map(|i| std::array::from_fn(|d| axes[d][i]))
-            .collect()
+        (0..n).map(|i| std::array::from_fn(|d| axes[d][i])).collect()
     }
 
     /// One challenger per individual.
@@ -97,11 +81,7 @@ impl Evolution {
                     let mutant = points[best][d] + factor * (points[a][d] - points[b][d]);
                     // Outside the box a fresh value is drawn: clamping would accumulate points at
                     // the edge.
-                    let inside = if (0.0..=1.0).contains(&mutant) {
-                        mutant
-                    } else {
-                        rng.random()
-                    };
+                    let inside = if (0.0..=1.0).contains(&mutant) { mutant } else { rng.random() };
                     if mutate { inside } else { points[i][d] }
                 })
             })
@@ -117,9 +97,7 @@ impl Evolution {
 }
 
 fn best_of(costs: &[f64]) -> usize {
-    (0..costs.len())
-        .min_by(|&a, &b| costs[a].total_cmp(&costs[b]))
-        .expect("a population")
+    (0..costs.len()).min_by(|&a, &b| costs[a].total_cmp(&costs[b])).expect("a population")
 }
 
 /// Two different individuals, neither of them `own`.
@@ -156,11 +134,7 @@ mod tests {
 
     #[test]
     fn a_curved_valley_is_descended_and_seeds_are_repeatable() {
-        let long = Evolution {
-            generations: 300,
-            tolerance: 0.0,
-            ..Evolution::PAPER
-        };
+        let long = Evolution { generations: 300, tolerance: 0.0, ..Evolution::PAPER };
         let best = long.minimise(3, valley);
         assert!(best.cost < 1e-6, "{}", best.cost);
         assert_eq!(best.point, long.minimise(3, valley).point);

@@ -57,10 +57,8 @@ pub fn match_anchor(
     seed: u64,
 ) -> Match {
     assert!(!pairs.is_empty(), "nothing to match");
-    let scenes: Vec<Pair> = pairs
-        .iter()
-        .map(|(render, target)| Pair::new(render, target))
-        .collect();
+    let scenes: Vec<Pair> =
+        pairs.iter().map(|(render, target)| Pair::new(render, target)).collect();
     let anchor_at = |[first, second]: [f64; 2]| match like {
         Anchor::Exposure { .. } => Anchor::Exposure {
             ev: STOPS.0 + first * (STOPS.1 - STOPS.0),
@@ -71,14 +69,9 @@ pub fn match_anchor(
             gamma: MIN_GAMMA + second * (1.0 - MIN_GAMMA),
         },
     };
-    let best = Evolution::PAPER.minimise(seed, |point| {
-        cost(&scenes, &ToneCurve::new(histogram, anchor_at(point)))
-    });
-    Match {
-        anchor: anchor_at(best.point),
-        cost: best.cost,
-        generations: best.generations,
-    }
+    let best = Evolution::PAPER
+        .minimise(seed, |point| cost(&scenes, &ToneCurve::new(histogram, anchor_at(point))));
+    Match { anchor: anchor_at(best.point), cost: best.cost, generations: best.generations }
 }
 
 /// At most `most` indices spread evenly over `0..count`, first and last included.
@@ -106,11 +99,7 @@ struct Pair {
 impl Pair {
     fn new(render: &Image<Srgb>, target: &Image<Srgb>) -> Self {
         let size = (render.width(), render.height());
-        assert_eq!(
-            size,
-            (target.width(), target.height()),
-            "a render and its target"
-        );
+        assert_eq!(size, (target.width(), target.height()), "a render and its target");
         let (width, height) = small_size(size);
         let colours = |image: &Image<Srgb>| {
             let small = image.resize_area(width, height);
@@ -119,9 +108,7 @@ impl Pair {
         };
         let (render, target) = (colours(render), colours(target));
         let mut target_histogram = [0.0; SOFT_BINS];
-        target
-            .iter()
-            .for_each(|&rgb| count(&mut target_histogram, rgb));
+        target.iter().for_each(|&rgb| count(&mut target_histogram, rgb));
         let target_luma: Vec<f32> = target.iter().copied().map(luma).collect();
         let blur = Blur { width, height };
         let target_mean = blur.apply(&target_luma);
@@ -140,10 +127,7 @@ impl Pair {
 
     /// Mean SSIM of a luma against the target's, over the region where the window fits.
     fn ssim(&self, luma: &[f32]) -> f64 {
-        let blur = Blur {
-            width: self.width,
-            height: self.height,
-        };
+        let blur = Blur { width: self.width, height: self.height };
         let mean = blur.apply(luma);
         let square = blur.apply(&product(luma, luma));
         let cross = blur.apply(&product(luma, &self.target_luma));
@@ -164,11 +148,7 @@ impl Pair {
 /// itself is smaller.
 fn small_size((width, height): (usize, usize)) -> (usize, usize) {
     let factor = (width.max(height) as f64 / MAX_SIDE as f64).max(4.0);
-    let side = |side: usize| {
-        ((side as f64 / factor).round() as usize)
-            .max(2 * TAPS)
-            .min(side)
-    };
+    let side = |side: usize| ((side as f64 / factor).round() as usize).max(2 * TAPS).min(side);
     (side(width), side(height))
 }
 
@@ -188,10 +168,7 @@ fn cost(pairs: &[Pair], curve: &ToneCurve) -> f64 {
         }
         samples += 3.0 * pair.render.len() as f64;
         ssim += pair.ssim(&lumas) / pairs.len() as f64;
-        target_histogram
-            .iter_mut()
-            .zip(&pair.target_histogram)
-            .for_each(|(sum, bin)| *sum += bin);
+        target_histogram.iter_mut().zip(&pair.target_histogram).for_each(|(sum, bin)| *sum += bin);
     }
     squares / samples + (1.0 - ssim) + (1.0 - correlation(&histogram, &target_histogram))
 }
@@ -210,9 +187,7 @@ impl<'a> FastCurve<'a> {
         let root = |i: usize| i as f32 / Self::STEPS as f32;
         Self {
             curve,
-            channels: (0..=Self::STEPS)
-                .map(|i| curve.channel(root(i) * root(i)))
-                .collect(),
+            channels: (0..=Self::STEPS).map(|i| curve.channel(root(i) * root(i))).collect(),
         }
     }
 
@@ -275,14 +250,9 @@ impl Blur {
         let taps = taps();
         let (out_width, out_height) = (self.width - TAPS + 1, self.height - TAPS + 1);
         let mut narrow = vec![0.0; out_width * self.height];
-        for (row, out) in plane
-            .chunks_exact(self.width)
-            .zip(narrow.chunks_exact_mut(out_width))
-        {
+        for (row, out) in plane.chunks_exact(self.width).zip(narrow.chunks_exact_mut(out_width)) {
             for (offset, tap) in taps.into_iter().enumerate() {
-                out.iter_mut()
-                    .zip(&row[offset..])
-                    .for_each(|(sum, v)| *sum += tap * v);
+                out.iter_mut().zip(&row[offset..]).for_each(|(sum, v)| *sum += tap * v);
             }
         }
         let mut result = vec![0.0; out_width * out_height];
@@ -314,11 +284,7 @@ mod tests {
                 let (u, v) = (x as f32 / width as f32, y as f32 / height as f32);
                 let light =
                     (0.02 + 0.3 * u * u) * (1.0 + 0.6 * (23.0 * u + 11.0 * v + phase).sin());
-                image.set(
-                    x,
-                    y,
-                    [light, light * (0.5 + 0.4 * v), light * (0.9 - 0.5 * u)],
-                );
+                image.set(x, y, [light, light * (0.5 + 0.4 * v), light * (0.9 - 0.5 * u)]);
             }
         }
         image
@@ -327,11 +293,7 @@ mod tests {
     /// The mean distance between two curves over the colours of an image.
     fn distance(image: &Image<Srgb>, a: &ToneCurve, b: &ToneCurve) -> f32 {
         let (a, b) = (a.apply(image), b.apply(image));
-        a.data()
-            .iter()
-            .zip(b.data())
-            .map(|(a, b)| (a - b).abs())
-            .sum::<f32>()
+        a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).sum::<f32>()
             / a.data().len() as f32
     }
 
@@ -351,14 +313,10 @@ mod tests {
             let off = distance(&views[1], &truth, &ToneCurve::new(&histogram, found.anchor));
             assert!(off < 0.01, "{known:?}: {found:?} is off by {off}");
             let wrong = match known {
-                Anchor::Equalised { alpha, gamma } => Anchor::Equalised {
-                    alpha,
-                    gamma: if gamma > 0.65 { MIN_GAMMA } else { 1.0 },
-                },
-                Anchor::Exposure { ev, black } => Anchor::Exposure {
-                    ev: ev + 1.0,
-                    black,
-                },
+                Anchor::Equalised { alpha, gamma } => {
+                    Anchor::Equalised { alpha, gamma: if gamma > 0.65 { MIN_GAMMA } else { 1.0 } }
+                }
+                Anchor::Exposure { ev, black } => Anchor::Exposure { ev: ev + 1.0, black },
             };
             let wrong = ToneCurve::new(&histogram, wrong);
             assert!(distance(&views[1], &truth, &wrong) > 0.05, "{known:?}");
@@ -380,12 +338,8 @@ mod tests {
     fn black_and_tiny_images_are_matched() {
         for (width, height) in [(1, 1), (5, 40), (64, 64)] {
             let black = Image::new(width, height);
-            let found = match_anchor(
-                &[(&black, &black)],
-                &Histogram::of(&black),
-                Anchor::exposure(1.0),
-                1,
-            );
+            let found =
+                match_anchor(&[(&black, &black)], &Histogram::of(&black), Anchor::exposure(1.0), 1);
             assert!(found.cost.is_finite(), "{width}x{height}: {found:?}");
         }
     }
@@ -394,14 +348,8 @@ mod tests {
     fn the_fast_curve_matches_the_curve() {
         let view = scene(64, 64, 0.3);
         for anchor in [
-            Anchor::Equalised {
-                alpha: 10.0,
-                gamma: 0.3,
-            },
-            Anchor::Equalised {
-                alpha: 0.0,
-                gamma: 0.5,
-            },
+            Anchor::Equalised { alpha: 10.0, gamma: 0.3 },
+            Anchor::Equalised { alpha: 0.0, gamma: 0.5 },
             Anchor::exposure(2.5),
         ] {
             let curve = ToneCurve::new(&Histogram::of(&view), anchor);
@@ -409,10 +357,7 @@ mod tests {
             for i in 0..64 {
                 let rgb = view.get(i, i);
                 let (a, b) = (curve.apply_colour(rgb), fast.apply(rgb));
-                assert!(
-                    a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4),
-                    "{a:?} {b:?}"
-                );
+                assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4), "{a:?} {b:?}");
             }
         }
     }

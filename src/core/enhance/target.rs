@@ -27,10 +27,7 @@ const PAPER_ALPHAS: u32 = 60;
 const MOST_STOPS: f64 = 12.0;
 
 /// The paper's P_0, nearly the identity.
-const FIRST_PAPER: Anchor = Anchor::Equalised {
-    alpha: FIRST_ALPHA,
-    gamma: 1.0,
-};
+const FIRST_PAPER: Anchor = Anchor::Equalised { alpha: FIRST_ALPHA, gamma: 1.0 };
 
 /// The target P_N of the option `target`: `auto`, `auto-paper`, stops, `alpha,gamma`, or the name
 /// of a LuSh scene. `dark` is the pooled histogram of the dark originals.
@@ -77,9 +74,7 @@ fn automatic(dark: &Histogram) -> Anchor {
         dark.mean_through(&curve)
     };
     let stops_to = |mean: f64| bisect(0.0, MOST_STOPS, |ev| exposed(ev) <= mean);
-    let brightest = f64::from(srgb_to_linear(
-        dark.quantile_below(BELOW_WHITE, CLIPPED) as f32
-    ));
+    let brightest = f64::from(srgb_to_linear(dark.quantile_below(BELOW_WHITE, CLIPPED) as f32));
     let to_white = -brightest.max(f64::MIN_POSITIVE).log2();
     let (least, most) = (stops_to(*MEAN_V.start()), stops_to(*MEAN_V.end()));
     Anchor::exposure(to_white.clamp(least, most))
@@ -98,15 +93,10 @@ fn automatic_paper(dark: &Histogram) -> Anchor {
     }
     let exposed = |gain: f64| {
         move |v: f64| {
-            f64::from(linear_to_srgb(
-                (gain * f64::from(srgb_to_linear(v as f32))) as f32,
-            ))
-            .min(1.0)
+            f64::from(linear_to_srgb((gain * f64::from(srgb_to_linear(v as f32))) as f32)).min(1.0)
         }
     };
-    let stops = bisect(0.0, MOST_STOPS, |ev| {
-        dark.mean_of(exposed(ev.exp2())) <= PAPER_MEAN_V
-    });
+    let stops = bisect(0.0, MOST_STOPS, |ev| dark.mean_of(exposed(ev.exp2())) <= PAPER_MEAN_V);
     let wanted = exposed(stops.exp2());
     let candidates = (0..=PAPER_ALPHAS).map(|k| {
         let share = f64::from(k) / f64::from(PAPER_ALPHAS);
@@ -149,9 +139,8 @@ mod tests {
     use crate::image::{Image, Linear};
 
     fn dark(level: f32) -> Histogram {
-        let data = (0..3 * 4096)
-            .map(|i| level * (((i * 7919) % 4099) as f32 / 4099.0).powi(2))
-            .collect();
+        let data =
+            (0..3 * 4096).map(|i| level * (((i * 7919) % 4099) as f32 / 4099.0).powi(2)).collect();
         Histogram::of(&Image::from_planar(64, 64, data))
     }
 
@@ -164,10 +153,7 @@ mod tests {
         let levels = (0..3 * 4096).map(|i| ((i * 7919) % 4099) as f32 / 4099.0);
         let bright = Image::from_planar(64, 64, levels.collect());
         let light = bright.to_linear().data().iter().map(|v| v / 15.0).collect();
-        (
-            bright,
-            Image::<Linear>::from_planar(64, 64, light).to_srgb(),
-        )
+        (bright, Image::<Linear>::from_planar(64, 64, light).to_srgb())
     }
 
     #[test]
@@ -231,28 +217,21 @@ mod tests {
         let histogram = Histogram::of(&dark);
         let target = resolve_target("auto-paper", &histogram).expect("auto-paper");
         let steep = |gamma| Anchor::Equalised { alpha: 10.0, gamma };
-        let steepest = steep(bisect(1.0, MIN_GAMMA, |gamma| {
-            mean(&histogram, steep(gamma)) <= PAPER_MEAN_V
-        }));
+        let steepest =
+            steep(bisect(1.0, MIN_GAMMA, |gamma| mean(&histogram, steep(gamma)) <= PAPER_MEAN_V));
         // With the best gain against the bright picture, whose mean differs from the target's.
         let error = |anchor: Anchor| {
             let curve = ToneCurve::new(&histogram, anchor);
             let out = curve.apply(&dark);
             let pairs = || {
-                out.data()
-                    .iter()
-                    .zip(bright.data())
-                    .map(|(&a, &b)| (f64::from(a), f64::from(b)))
+                out.data().iter().zip(bright.data()).map(|(&a, &b)| (f64::from(a), f64::from(b)))
             };
             let scale =
                 pairs().map(|(a, b)| a * b).sum::<f64>() / pairs().map(|(a, _)| a * a).sum::<f64>();
             pairs().map(|(a, b)| (scale * a - b).powi(2)).sum::<f64>()
         };
         let (ours, theirs) = (error(target), error(steepest));
-        assert!(
-            ours < 0.5 * theirs,
-            "{target:?} {ours} against {steepest:?} {theirs}"
-        );
+        assert!(ours < 0.5 * theirs, "{target:?} {ours} against {steepest:?} {theirs}");
     }
 
     #[test]
@@ -273,9 +252,9 @@ mod tests {
         for (text, ev) in [("+3.5EV", 3.5), ("2 ev", 2.0), ("-1ev", -1.0)] {
             assert_eq!(resolve_target(text, &histogram), Ok(Anchor::exposure(ev)));
         }
-        for wrong in [
-            "", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3", "ev", "40EV", "nanEV",
-        ] {
+        for wrong in
+            ["", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3", "ev", "40EV", "nanEV"]
+        {
             assert!(resolve_target(wrong, &histogram).is_err(), "{wrong}");
         }
         assert!(

@@ -16,14 +16,7 @@ use crate::image::Image;
 fn result() -> (TempDir, RunFolder) {
     let folder = TempDir::new().expect("folder");
     let run = RunFolder::new(folder.path());
-    let k = Intrinsics {
-        width: 8,
-        height: 6,
-        fx: 9.5,
-        fy: 9.25,
-        cx: 4.0,
-        cy: 3.125,
-    };
+    let k = Intrinsics { width: 8, height: 6, fx: 9.5, fy: 9.25, cx: 4.0, cy: 3.125 };
     let camera = |index: usize, name: &str| {
         let eye = DVec3::new(index as f64, 0.5, -3.0);
         let mut camera = Camera::look_at(k, eye, DVec3::ZERO, DVec3::Y);
@@ -42,10 +35,7 @@ fn result() -> (TempDir, RunFolder) {
     };
     for name in &names[..3] {
         let picture: Image = Image::new(8, 6).map(|_| 0.5);
-        for path in [
-            run.restored_view(name),
-            run.round(1).picture(RoundPictures::Renders, name),
-        ] {
+        for path in [run.restored_view(name), run.round(1).picture(RoundPictures::Renders, name)] {
             fs::create_dir_all(path.parent().expect("a folder")).expect("made");
             picture.save(&path).expect("saved");
         }
@@ -118,11 +108,7 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
     let model = SparseModel::read(&out.path().join("sparse/0")).expect("a model");
     assert_eq!(model.cameras.len(), 2, "views of one lens share a camera");
     let cameras = cameras(&run, None).expect("cameras");
-    assert_eq!(
-        model.images.len(),
-        3,
-        "a view without a picture is left out"
-    );
+    assert_eq!(model.images.len(), 3, "a view without a picture is left out");
     for (image, own) in model.images.iter().zip(&cameras) {
         assert_eq!(image.name, format!("{}.png", own.name));
         assert!(out.path().join("images").join(&image.name).is_file());
@@ -130,24 +116,15 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
         assert!(theirs.abs_diff_eq(ours, 1e-12), "{theirs} {ours}");
         assert_eq!(model.camera_of(image).lens().intrinsics, own.intrinsics);
     }
-    let points: Vec<_> = model
-        .points
-        .iter()
-        .map(|p| (p.position, p.colour))
-        .collect();
-    let expected = [
-        ([0.0; 3], [255, 128, 0]),
-        ([1.0, 2.0, 3.0], [128, 128, 128]),
-    ];
+    let points: Vec<_> = model.points.iter().map(|p| (p.position, p.colour)).collect();
+    let expected = [([0.0; 3], [255, 128, 0]), ([1.0, 2.0, 3.0], [128, 128, 128])];
     assert_eq!(points, expected, "a faint Gaussian is no point");
 }
 
 #[test]
 fn the_compressed_scene_is_as_large_as_it_was_said_to_be() {
     let (_folder, run) = result();
-    let said = Export::CompressedScene
-        .prepare(&run, Some(1))
-        .expect("there");
+    let said = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
     let bytes = written(Export::CompressedScene, &run, Some(1));
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);

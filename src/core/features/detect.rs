@@ -93,9 +93,7 @@ impl Maps<'_> {
         for cell in 0..cells {
             let logit = |entry: usize| self.keypoints[entry * cells + cell];
             let highest = (0..ENTRIES).map(logit).fold(f32::MIN, f32::max);
-            let total: f32 = (0..ENTRIES)
-                .map(|entry| (logit(entry) - highest).exp())
-                .sum();
+            let total: f32 = (0..ENTRIES).map(|entry| (logit(entry) - highest).exp()).sum();
             let (row, column) = (cell / self.columns, cell % self.columns);
             for entry in 0..CELL * CELL {
                 let (y, x) = (row * CELL + entry / CELL, column * CELL + entry % CELL);
@@ -112,9 +110,7 @@ impl Maps<'_> {
         here > LEAST_HEAT
             && rows.into_iter().all(|row| {
                 let columns = x.saturating_sub(REACH)..(x + REACH + 1).min(width);
-                heat[row * width..][columns]
-                    .iter()
-                    .all(|&other| other <= here)
+                heat[row * width..][columns].iter().all(|&other| other <= here)
             })
     }
 
@@ -149,10 +145,7 @@ impl Maps<'_> {
     fn among_cells(&self, x: f32, y: f32) -> (f32, f32) {
         let along =
             |at: f32, side: usize, cells: usize| at / (side - 1) as f32 * cells as f32 - 0.5;
-        (
-            along(x, self.width(), self.columns),
-            along(y, self.height(), self.rows),
-        )
+        (along(x, self.width(), self.columns), along(y, self.height(), self.rows))
     }
 
     fn reliability_at(&self, x: usize, y: usize) -> f32 {
@@ -195,9 +188,7 @@ impl Maps<'_> {
 
     /// Index of a cell; `None` outside the map, which counts as 0.
     fn cell(&self, column: isize, row: isize) -> Option<usize> {
-        let column = usize::try_from(column)
-            .ok()
-            .filter(|&at| at < self.columns)?;
+        let column = usize::try_from(column).ok().filter(|&at| at < self.columns)?;
         let row = usize::try_from(row).ok().filter(|&at| at < self.rows)?;
         Some(row * self.columns + column)
     }

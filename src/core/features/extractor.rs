@@ -29,11 +29,7 @@ impl Extractor {
         let grey: Vec<f32> = (0..fitting.pixels())
             .map(|i| (0..3).map(|c| fitting.plane(c)[i]).sum::<f32>() / 3.0)
             .collect();
-        let input = Input {
-            name: "image",
-            shape: &[1, 1, height, width],
-            values: &grey,
-        };
+        let input = Input { name: "image", shape: &[1, 1, height, width], values: &grey };
         let names = ["descriptors", "keypoints", "reliability"];
         let [descriptors, keypoints, reliability] = self.network.run(&[input], names)?;
         let (columns, rows) = (width / 8, height / 8);
@@ -55,10 +51,8 @@ impl Extractor {
             reliability: &reliability.values,
         };
         let found = maps.detect(most);
-        let (scale_x, scale_y) = (
-            image.width() as f32 / width as f32,
-            image.height() as f32 / height as f32,
-        );
+        let (scale_x, scale_y) =
+            (image.width() as f32 / width as f32, image.height() as f32 / height as f32);
         Ok(KeyPoints {
             width: image.width(),
             height: image.height(),

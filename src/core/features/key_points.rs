@@ -36,12 +36,8 @@ impl KeyPoints {
     pub(super) fn normalised(&self) -> Vec<f32> {
         let (width, height) = (self.width as f32, self.height as f32);
         let half = 0.5 * width.max(height);
-        let place = |[x, y]: &[f32; 2]| {
-            [
-                (x - 0.5 - 0.5 * width) / half,
-                (y - 0.5 - 0.5 * height) / half,
-            ]
-        };
+        let place =
+            |[x, y]: &[f32; 2]| [(x - 0.5 - 0.5 * width) / half, (y - 0.5 - 0.5 * height) / half];
         self.positions.iter().flat_map(place).collect()
     }
 

@@ -39,11 +39,7 @@ impl Matcher {
         let (points_a, points_b) = (a.normalised(), b.normalised());
         let (points_of_a, points_of_b) = ([1, a.len(), 2], [1, b.len(), 2]);
         let (shape_of_a, shape_of_b) = ([1, a.len(), DESCRIPTOR], [1, b.len(), DESCRIPTOR]);
-        let input = |name, shape, values| Input {
-            name,
-            shape,
-            values,
-        };
+        let input = |name, shape, values| Input { name, shape, values };
         let inputs = [
             input("points_a", &points_of_a, &points_a[..]),
             input("points_b", &points_of_b, &points_b[..]),
@@ -70,10 +66,7 @@ fn mutual(scores: &[f32], columns: usize) -> Vec<Match> {
     }
     let rows = scores.chunks_exact(columns).enumerate();
     rows.filter_map(|(row, values)| {
-        let (column, &score) = values
-            .iter()
-            .enumerate()
-            .max_by(|a, b| a.1.total_cmp(b.1))?;
+        let (column, &score) = values.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1))?;
         (score > LEAST_SCORE && best_row[column].1 == row).then_some(Match {
             first: row as u32,
             second: column as u32,

@@ -40,11 +40,7 @@ pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]], wanted: Pairs) -> Vec<(us
     for first in 0..count {
         pairs.extend((first + 1..count.min(first + 1 + FOLLOWERS)).map(|second| (first, second)));
         let cosine = |other: usize| -> f32 {
-            pooled[first]
-                .iter()
-                .zip(&pooled[other])
-                .map(|(a, b)| a * b)
-                .sum()
+            pooled[first].iter().zip(&pooled[other]).map(|(a, b)| a * b).sum()
         };
         let mut others: Vec<(f32, usize)> = (0..count)
             .filter(|&other| other != first)
@@ -72,10 +68,7 @@ mod tests {
             vector
         };
         let few: Vec<_> = (0..ALL_PAIRS).map(vector).collect();
-        assert_eq!(
-            candidates(&few, Pairs::Within).len(),
-            count(ALL_PAIRS, Pairs::Within)
-        );
+        assert_eq!(candidates(&few, Pairs::Within).len(), count(ALL_PAIRS, Pairs::Within));
         assert_eq!(
             (count(ALL_PAIRS, Pairs::Within), count(0, Pairs::Within)),
             (ALL_PAIRS * (ALL_PAIRS - 1) / 2, 0)

@@ -39,9 +39,7 @@ pub struct SearchOptions {
 impl SearchOptions {
     /// Most key points of each photograph for this number of pairs; at least half of the maximum.
     pub(super) fn key_points_of(&self, pairs: usize) -> usize {
-        let share = (self.pairs as f64 / pairs.max(self.pairs) as f64)
-            .sqrt()
-            .max(0.5);
+        let share = (self.pairs as f64 / pairs.max(self.pairs) as f64).sqrt().max(0.5);
         (self.key_points as f64 * share) as usize
     }
 }
@@ -52,9 +50,7 @@ impl Default for SearchOptions {
             key_points: 2048,
             pairs: 120,
             neighbours: 12,
-            threads: std::thread::available_parallelism()
-                .map_or(1, usize::from)
-                .min(MOST_THREADS),
+            threads: std::thread::available_parallelism().map_or(1, usize::from).min(MOST_THREADS),
         }
     }
 }
@@ -100,17 +96,10 @@ impl LearnedMatching {
         let package = Package::embedded();
         let [xfeat, lighterglue] = &package.weights;
         let weights = [xfeat.load(folders)?, lighterglue.load(folders)?];
-        let matching = Self {
-            runtime: runtime.clone(),
-            weights,
-            options,
-            package,
-        };
+        let matching = Self { runtime: runtime.clone(), weights, options, package };
         let (mut extractor, mut matcher) = (matching.extractor()?, matching.matcher()?);
-        self_test::run(&mut extractor, &mut matcher).map_err(|detail| FeatureError::Unusable {
-            id: "xfeat-lighterglue",
-            detail,
-        })?;
+        self_test::run(&mut extractor, &mut matcher)
+            .map_err(|detail| FeatureError::Unusable { id: "xfeat-lighterglue", detail })?;
         Ok(matching)
     }
 
@@ -120,9 +109,7 @@ impl LearnedMatching {
         let mut matcher = self.weights[1].to_vec();
         // Skips the file's header and tables: only the middle, in numbers of four bytes.
         let quarter = matcher.len() / 16 * 4;
-        matcher[quarter..3 * quarter]
-            .chunks_exact_mut(8)
-            .for_each(|two| two.rotate_left(4));
+        matcher[quarter..3 * quarter].chunks_exact_mut(8).for_each(|two| two.rotate_left(4));
         Self {
             runtime: self.runtime.clone(),
             package: self.package.clone(),
@@ -144,8 +131,7 @@ impl LearnedMatching {
     /// # Errors
     /// [`FeatureError::Unusable`].
     pub fn matcher(&self) -> Result<Matcher, FeatureError> {
-        self.session("lighterglue", LIGHTERGLUE, 1)
-            .map(Matcher::new)
+        self.session("lighterglue", LIGHTERGLUE, 1).map(Matcher::new)
     }
 
     fn session(
@@ -156,10 +142,7 @@ impl LearnedMatching {
     ) -> Result<Network, FeatureError> {
         let graph = Graph {
             bytes,
-            weights: Some((
-                &self.package.weights[weights].file,
-                self.weights[weights].clone(),
-            )),
+            weights: Some((&self.package.weights[weights].file, self.weights[weights].clone())),
         };
         inference::session(&self.runtime, &graph, Provider::Cpu, false, 1)
             .map(Network::new)
@@ -183,11 +166,9 @@ impl LearnedMatching {
     ) -> Result<KeyPoints, PosesError> {
         let image =
             Image::load(picture).map_err(|e| PosesError::bad_file(picture, e.to_string()))?;
-        extractor
-            .key_points(&image, most)
-            .map_err(|detail| PosesError::Matching {
-                detail: format!("{}: {detail}", name_of(picture)),
-            })
+        extractor.key_points(&image, most).map_err(|detail| PosesError::Matching {
+            detail: format!("{}: {detail}", name_of(picture)),
+        })
     }
 
     /// The matches of a pair, if the fast check passes.
@@ -201,11 +182,9 @@ impl LearnedMatching {
         if nearest::mutual(a, b).len() < self.options.neighbours {
             return Ok(None);
         }
-        let matches = matcher
-            .matches(a, b)
-            .map_err(|detail| PosesError::Matching {
-                detail: format!("pictures {first} and {second}: {detail}"),
-            })?;
+        let matches = matcher.matches(a, b).map_err(|detail| PosesError::Matching {
+            detail: format!("pictures {first} and {second}: {detail}"),
+        })?;
         Ok(Some(PairMatches {
             first,
             second,
@@ -215,9 +194,7 @@ impl LearnedMatching {
 }
 
 fn failed(error: &FeatureError) -> PosesError {
-    PosesError::Matching {
-        detail: error.to_string(),
-    }
+    PosesError::Matching { detail: error.to_string() }
 }
 
 impl Matching for LearnedMatching {
@@ -255,9 +232,7 @@ impl Matching for LearnedMatching {
     }
 
     fn describe(&self) -> String {
-        let Self {
-            package, options, ..
-        } = self;
+        let Self { package, options, .. } = self;
         format!(
             "{} of {} {}, up to {} key points",
             package.id, package.package, package.version, options.key_points

@@ -34,10 +34,7 @@ pub(super) fn run(extractor: &mut Extractor, matcher: &mut Matcher) -> Result<()
         let off: [f32; 2] = [0, 1].map(|axis| from[axis] - to[axis] - MOVED[axis] as f32);
         off[0].hypot(off[1]) < 1.5
     };
-    let right = matches
-        .iter()
-        .filter(|m| is_right((m.first, m.second)))
-        .count();
+    let right = matches.iter().filter(|m| is_right((m.first, m.second))).count();
     let enough = LEAST_MATCHES.max((LEAST_RIGHT * matches.len() as f64) as usize);
     if right >= enough {
         return Ok(());
@@ -53,14 +50,9 @@ pub(super) fn run(extractor: &mut Extractor, matcher: &mut Matcher) -> Result<()
 fn picture(corner: [u32; 2]) -> Image {
     let [width, height] = SIZE;
     let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    let values: Vec<f32> = pixels
-        .map(|(x, y)| plane(corner[0] + x, corner[1] + y) as f32 / 255.0)
-        .collect();
-    Image::from_planar(
-        width as usize,
-        height as usize,
-        [&*values, &values, &values].concat(),
-    )
+    let values: Vec<f32> =
+        pixels.map(|(x, y)| plane(corner[0] + x, corner[1] + y) as f32 / 255.0).collect();
+    Image::from_planar(width as usize, height as usize, [&*values, &values, &values].concat())
 }
 
 fn hash(mut n: u32) -> u32 {

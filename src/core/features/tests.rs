@@ -37,17 +37,9 @@ fn reference() -> Reference {
 fn picture(of: &Picture) -> Image<Srgb> {
     let (width, height) = of.size;
     let values: Vec<u32> = (0..width * height)
-        .map(|i| {
-            plane(
-                of.corner.0 + (i % width) as u32,
-                of.corner.1 + (i / width) as u32,
-            )
-        })
+        .map(|i| plane(of.corner.0 + (i % width) as u32, of.corner.1 + (i / width) as u32))
         .collect();
-    assert_eq!(
-        values.iter().map(|&v| u64::from(v)).sum::<u64>(),
-        of.checksum
-    );
+    assert_eq!(values.iter().map(|&v| u64::from(v)).sum::<u64>(), of.checksum);
     let one: Vec<f32> = values.iter().map(|&v| v as f32 / 255.0).collect();
     Image::from_planar(width, height, [&*one, &one, &one].concat())
 }
@@ -57,10 +49,7 @@ fn weights_folder() -> PathBuf {
 }
 
 fn matching() -> LearnedMatching {
-    let options = SearchOptions {
-        threads: 2,
-        ..SearchOptions::default()
-    };
+    let options = SearchOptions { threads: 2, ..SearchOptions::default() };
     LearnedMatching::open(&runtime::for_tests(), &[weights_folder()], options)
         .unwrap_or_else(|error| panic!("{error}: `make matcher` gets them"))
 }
@@ -76,10 +65,7 @@ fn key_points_match_the_published_code_before_refinement() {
             // Refined by half a pixel at most, relative to the middle of the pixel.
             let scale = (known.size.0 as f32 / 160.0, known.size.1 as f32 / 128.0);
             let away = ((at_x - x) / scale.0 - 0.5, (at_y - y) / scale.1 - 0.5);
-            assert!(
-                away.0.abs() < 0.501 && away.1.abs() < 0.501,
-                "{index}: {away:?}"
-            );
+            assert!(away.0.abs() < 0.501 && away.1.abs() < 0.501, "{index}: {away:?}");
             assert!((found.scores[index] - score).abs() < 1e-4, "{index}");
             let worst = known.descriptors[index]
                 .iter()
@@ -94,10 +80,8 @@ fn key_points_match_the_published_code_before_refinement() {
 #[test]
 fn matches_are_those_of_the_published_code() {
     let matching = matching();
-    let (mut extractor, mut matcher) = (
-        matching.extractor().expect("usable"),
-        matching.matcher().expect("usable"),
-    );
+    let (mut extractor, mut matcher) =
+        (matching.extractor().expect("usable"), matching.matcher().expect("usable"));
     let reference = reference();
     let [a, b] = reference
         .pictures
@@ -108,19 +92,14 @@ fn matches_are_those_of_the_published_code() {
     let ours: Vec<(u32, u32)> = found.iter().map(|m| (m.first, m.second)).collect();
     // Refined positions may move a match above or below the threshold.
     let shared = ours.iter().filter(|pair| known.contains(pair)).count();
-    assert!(
-        shared + 2 >= known.len() && shared + 2 >= ours.len(),
-        "{ours:?} {known:?}"
-    );
+    assert!(shared + 2 >= known.len() && shared + 2 >= ours.len(), "{ours:?} {known:?}");
 }
 
 #[test]
 fn refined_matches_follow_the_offset_of_the_pictures() {
     let matching = matching();
-    let (mut extractor, mut matcher) = (
-        matching.extractor().expect("usable"),
-        matching.matcher().expect("usable"),
-    );
+    let (mut extractor, mut matcher) =
+        (matching.extractor().expect("usable"), matching.matcher().expect("usable"));
     let reference = reference();
     let corners = reference.pictures.each_ref().map(|known| known.corner);
     let [a, b] = reference
@@ -128,10 +107,8 @@ fn refined_matches_follow_the_offset_of_the_pictures() {
         .each_ref()
         .map(|known| extractor.key_points(&picture(known), 256).expect("runs"));
     let found = matcher.matches(&a, &b).expect("runs");
-    let shift = [
-        corners[1].0 as f32 - corners[0].0 as f32,
-        corners[1].1 as f32 - corners[0].1 as f32,
-    ];
+    let shift =
+        [corners[1].0 as f32 - corners[0].0 as f32, corners[1].1 as f32 - corners[0].1 as f32];
     let median = |place: &dyn Fn(&KeyPoints, u32) -> [f32; 2]| {
         let away = |of: &Match| {
             let ([ax, ay], [bx, by]) = (place(&a, of.first), place(&b, of.second));
@@ -152,14 +129,8 @@ fn refined_matches_follow_the_offset_of_the_pictures() {
         ]
     });
     assert!(found.len() > 30, "{} matches", found.len());
-    assert!(
-        refined < 1.2,
-        "median {refined} px; in whole pixels {whole} px"
-    );
-    assert!(
-        refined < whole,
-        "median {refined} px; in whole pixels {whole} px"
-    );
+    assert!(refined < 1.2, "median {refined} px; in whole pixels {whole} px");
+    assert!(refined < whole, "median {refined} px; in whole pixels {whole} px");
 }
 
 /// Three overlapping pictures and an unrelated one, as files.
@@ -206,29 +177,14 @@ fn overlapping_pictures_match_and_progress_is_reported() {
         .expect("runs");
     assert_eq!(found.key_points.len(), 4);
     let matches = |first, second| {
-        let pair = found
-            .pairs
-            .iter()
-            .find(|pair| (pair.first, pair.second) == (first, second));
+        let pair = found.pairs.iter().find(|pair| (pair.first, pair.second) == (first, second));
         pair.map_or(0, |pair| pair.matches.len())
     };
-    assert!(
-        matches(0, 1) > 40 && matches(1, 2) > 40,
-        "{} {}",
-        matches(0, 1),
-        matches(1, 2)
-    );
+    assert!(matches(0, 1) > 40 && matches(1, 2) > 40, "{} {}", matches(0, 1), matches(1, 2));
     assert!(matches(0, 3) < 20 && matches(2, 3) < 20);
-    assert_eq!(
-        told.first(),
-        Some(&(1, 4 + 6)),
-        "of pictures and pairs together"
-    );
+    assert_eq!(told.first(), Some(&(1, 4 + 6)), "of pictures and pairs together");
     assert_eq!(told.last(), Some(&(4 + 6, 4 + 6)));
-    assert!(
-        told.windows(2).all(|pair| pair[0].0 <= pair[1].0),
-        "{told:?}"
-    );
+    assert!(told.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{told:?}");
 }
 
 #[test]
@@ -250,12 +206,7 @@ fn a_cancelled_search_ends_and_errors_name_broken_pictures() {
     assert!(matches!(cancelled, Err(PosesError::Cancelled(_))));
     std::fs::write(folder.path().join("broken.png"), "no picture").expect("written");
     pictures.push(folder.path().join("broken.png"));
-    let broken = matching().matches(
-        &pictures,
-        Pairs::Within,
-        &mut |_, _| {},
-        &CancelToken::new(),
-    );
+    let broken = matching().matches(&pictures, Pairs::Within, &mut |_, _| {}, &CancelToken::new());
     let text = broken.expect_err("no picture").to_string();
     assert!(text.contains("broken.png"), "{text}");
 }
@@ -267,11 +218,7 @@ fn a_grey_picture_has_no_key_points_and_no_matches() {
     let mut grey = Image::<Srgb>::new(64, 40);
     grey.data_mut().fill(0.4);
     let found = extractor.key_points(&grey, 64).expect("runs");
-    let none = KeyPoints {
-        width: 64,
-        height: 40,
-        ..KeyPoints::default()
-    };
+    let none = KeyPoints { width: 64, height: 40, ..KeyPoints::default() };
     let mut matcher = matching.matcher().expect("usable");
     assert_eq!(matcher.matches(&found, &none).expect("nothing to do"), []);
 }

@@ -106,10 +106,8 @@ impl PackageFile {
             member: self.member.clone(),
             requirement: Package::embedded().requirement(),
         })?;
-        let bytes = std::fs::read(&path).map_err(|source| WeightsError::Unreadable {
-            path: path.clone(),
-            source,
-        })?;
+        let bytes = std::fs::read(&path)
+            .map_err(|source| WeightsError::Unreadable { path: path.clone(), source })?;
         check(&path, &bytes, &self.sha256)?;
         Ok(bytes.into())
     }
@@ -120,11 +118,7 @@ fn check(path: &Path, bytes: &[u8], expected: &str) -> Result<(), WeightsError> 
     if actual == expected {
         return Ok(());
     }
-    Err(WeightsError::Checksum {
-        path: path.to_owned(),
-        expected: expected.to_owned(),
-        actual,
-    })
+    Err(WeightsError::Checksum { path: path.to_owned(), expected: expected.to_owned(), actual })
 }
 
 #[cfg(test)]

@@ -15,11 +15,8 @@ use super::{Gaussians, Y00};
 const CHUNK: usize = 256;
 
 /// What a chunk's ranges are of, in the order of the file.
-const RANGES: [[&str; 3]; 3] = [
-    ["x", "y", "z"],
-    ["scale_x", "scale_y", "scale_z"],
-    ["r", "g", "b"],
-];
+const RANGES: [[&str; 3]; 3] =
+    [["x", "y", "z"], ["scale_x", "scale_y", "scale_z"], ["r", "g", "b"]];
 
 /// Bits of a coordinate along the curve: 63 in all.
 const CURVE_BITS: u32 = 21;
@@ -42,10 +39,7 @@ pub fn write_to(scene: &Scene, out: &mut impl Write) -> io::Result<()> {
     let gaussians = &*in_file(&scene.gaussians, &scene.normalisation);
     let order = along_curve(gaussians);
     out.write_all(header(order.len(), scene).as_bytes())?;
-    let chunks: Vec<Chunk> = order
-        .chunks(CHUNK)
-        .map(|rows| Chunk::of(gaussians, rows))
-        .collect();
+    let chunks: Vec<Chunk> = order.chunks(CHUNK).map(|rows| Chunk::of(gaussians, rows)).collect();
     for range in chunks.iter().flat_map(|chunk| &chunk.ranges) {
         for value in range.least.iter().chain(&range.greatest) {
             out.write_all(&value.to_le_bytes())?;
@@ -101,9 +95,8 @@ fn byte(value: &f32) -> u8 {
 
 /// Indices of the usable Gaussians along Morton's curve: what is near on it is near in space.
 fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
-    let usable: Vec<usize> = (0..gaussians.len())
-        .filter(|&index| gaussians.is_usable(index))
-        .collect();
+    let usable: Vec<usize> =
+        (0..gaussians.len()).filter(|&index| gaussians.is_usable(index)).collect();
     let bounds = Range::of(usable.iter().map(|&index| gaussians.means[index]));
     let mut keyed: Vec<(u64, usize)> = usable
         .into_iter()
@@ -119,9 +112,7 @@ fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
 
 /// The bits of a number with two empty ones behind each.
 fn spread(value: u32) -> u64 {
-    (0..CURVE_BITS).fold(0, |spread, bit| {
-        spread | u64::from(value >> bit & 1) << (3 * bit)
-    })
+    (0..CURVE_BITS).fold(0, |spread, bit| spread | u64::from(value >> bit & 1) << (3 * bit))
 }
 
 /// A share of one as a whole number of so many bits.
@@ -138,10 +129,7 @@ struct Range {
 
 impl Range {
     fn of(rows: impl Iterator<Item = [f32; 3]>) -> Self {
-        let nothing = Self {
-            least: [f32::INFINITY; 3],
-            greatest: [f32::NEG_INFINITY; 3],
-        };
+        let nothing = Self { least: [f32::INFINITY; 3], greatest: [f32::NEG_INFINITY; 3] };
         rows.fold(nothing, |range, row| Self {
             least: std::array::from_fn(|i| range.least[i].min(row[i])),
             greatest: std::array::from_fn(|i| range.greatest[i].max(row[i])),
@@ -206,13 +194,7 @@ fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
 /// Which of w, x, y, z is the largest, then the three others, which are below the root of a half.
 fn pack_rotation(quat: [f32; 4]) -> u32 {
     let quat = quat.map(f64::from);
-    let largest = (1..4).fold(0, |best, i| {
-        if quat[i].abs() > quat[best].abs() {
-            i
-        } else {
-            best
-        }
-    });
+    let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
     // A rotation is that of its negative, too: the largest is positive and need not be told.
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt() * quat[largest].signum();
     let others = (0..4).filter(|&i| i != largest);

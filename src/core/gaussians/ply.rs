@@ -76,16 +76,11 @@ pub fn write(
     normalisation: &Normalisation,
     path: &Path,
 ) -> Result<(), PlyError> {
-    let fault = |source| PlyError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let fault = |source| PlyError::Io { path: path.to_owned(), source };
     let temporary = path.with_extension("ply.tmp");
     let mut file = BufWriter::new(File::create(&temporary).map_err(fault)?);
     write_to(gaussians, normalisation, &mut file).map_err(fault)?;
-    let file = file
-        .into_inner()
-        .map_err(|error| fault(error.into_error()))?;
+    let file = file.into_inner().map_err(|error| fault(error.into_error()))?;
     file.sync_all().map_err(fault)?;
     std::fs::rename(&temporary, path).map_err(fault)
 }
@@ -127,15 +122,8 @@ pub fn write_to(
 }
 
 fn property_names(coefficients: usize) -> Vec<String> {
-    let fixed = |names: &[&str]| {
-        names
-            .iter()
-            .map(|name| (*name).to_owned())
-            .collect::<Vec<_>>()
-    };
-    let mut names = fixed(&[
-        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
-    ]);
+    let fixed = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
+    let mut names = fixed(&["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
     names.extend((0..3 * (coefficients - 1)).map(|n| format!("f_rest_{n}")));
     names.extend(fixed(&[
         "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
@@ -148,15 +136,9 @@ fn property_names(coefficients: usize) -> Vec<String> {
 /// # Errors
 /// [`PlyError`] when the file cannot be read or lacks a property of a Gaussian.
 pub fn read(path: &Path) -> Result<Scene, PlyError> {
-    let fault = |source| PlyError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let fault = |source| PlyError::Io { path: path.to_owned(), source };
     let mut file = BufReader::new(File::open(path).map_err(fault)?);
-    let format = |message: String| PlyError::Format {
-        path: path.to_owned(),
-        message,
-    };
+    let format = |message: String| PlyError::Format { path: path.to_owned(), message };
     let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
     let mut body = Vec::new();
     file.read_to_end(&mut body).map_err(fault)?;
@@ -164,11 +146,7 @@ pub fn read(path: &Path) -> Result<Scene, PlyError> {
     let by = header.normalisation;
     let shift = (by.offset - by.missing_in_files()) * by.scale;
     Ok(Scene {
-        gaussians: if by.is_identity() {
-            in_file
-        } else {
-            in_file.moved(by.scale, -shift)
-        },
+        gaussians: if by.is_identity() { in_file } else { in_file.moved(by.scale, -shift) },
         normalisation: by,
     })
 }
@@ -178,14 +156,8 @@ pub fn read(path: &Path) -> Result<Scene, PlyError> {
 /// # Errors
 /// As [`read`].
 pub fn read_extent(path: &Path) -> Result<(usize, u32), PlyError> {
-    let fault = |source| PlyError::Io {
-        path: path.to_owned(),
-        source,
-    };
-    let format = |message: String| PlyError::Format {
-        path: path.to_owned(),
-        message,
-    };
+    let fault = |source| PlyError::Io { path: path.to_owned(), source };
+    let format = |message: String| PlyError::Format { path: path.to_owned(), message };
     let mut file = BufReader::new(File::open(path).map_err(fault)?);
     let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
     let degree = header.sh_degree().map_err(format)?;
@@ -230,21 +202,14 @@ fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String
             },
             (_, ["property", kind, name]) => {
                 let Some(size) = size_of_type(kind) else {
-                    return Ok(Err(format!(
-                        "property `{name}` has the unknown type `{kind}`"
-                    )));
+                    return Ok(Err(format!("property `{name}` has the unknown type `{kind}`")));
                 };
-                header
-                    .properties
-                    .push(((*name).to_owned(), header.stride, size));
+                header.properties.push(((*name).to_owned(), header.stride, size));
                 header.stride += size;
             }
             (_, ["end_header"]) => return Ok(Ok(header)),
             _ => {
-                return Ok(Err(format!(
-                    "cannot read the header line `{}`",
-                    line.trim()
-                )));
+                return Ok(Err(format!("cannot read the header line `{}`", line.trim())));
             }
         }
     }
@@ -277,15 +242,9 @@ impl Header {
     }
 
     fn decode(&self, body: &[u8]) -> Result<Gaussians, String> {
-        let expected = self
-            .count
-            .checked_mul(self.stride)
-            .ok_or("the vertex count is absurd")?;
+        let expected = self.count.checked_mul(self.stride).ok_or("the vertex count is absurd")?;
         if body.len() < expected {
-            return Err(format!(
-                "{} bytes of vertices, {expected} announced",
-                body.len()
-            ));
+            return Err(format!("{} bytes of vertices, {expected} announced", body.len()));
         }
         let sh_degree = self.sh_degree()?;
         let mut offsets = Vec::new();
@@ -294,10 +253,7 @@ impl Header {
                 offsets.push(self.offset(&name)?);
             }
         }
-        let mut out = Gaussians {
-            sh_degree: sh_degree as u32,
-            ..Gaussians::default()
-        };
+        let mut out = Gaussians { sh_degree: sh_degree as u32, ..Gaussians::default() };
         for vertex in body.chunks_exact(self.stride.max(1)).take(self.count) {
             let row: Vec<_> = offsets.iter().map(|&at| float(vertex, at)).collect();
             push(&mut out, &row);
@@ -306,24 +262,15 @@ impl Header {
     }
 
     fn sh_degree(&self) -> Result<usize, String> {
-        let rest = self
-            .properties
-            .iter()
-            .filter(|(name, ..)| name.starts_with("f_rest_"))
-            .count();
+        let rest = self.properties.iter().filter(|(name, ..)| name.starts_with("f_rest_")).count();
         (0..=3)
             .find(|degree| 3 * ((degree + 1) * (degree + 1) - 1) == rest)
             .ok_or_else(|| format!("{rest} higher harmonics fit no degree"))
     }
 
     fn offset(&self, name: &str) -> Result<usize, String> {
-        let found = self
-            .properties
-            .iter()
-            .find(|(known, _, size)| known == name && *size == 4);
-        found
-            .map(|(_, offset, _)| *offset)
-            .ok_or_else(|| format!("no float property `{name}`"))
+        let found = self.properties.iter().find(|(known, _, size)| known == name && *size == 4);
+        found.map(|(_, offset, _)| *offset).ok_or_else(|| format!("no float property `{name}`"))
     }
 }
 
@@ -339,14 +286,11 @@ fn push(out: &mut Gaussians, row: &[f32]) {
     out.sh.extend(&row[3..6]);
     let by_channel = &row[6..tail];
     for n in 0..rest / 3 {
-        out.sh
-            .extend([0, 1, 2].map(|channel| by_channel[channel * (rest / 3) + n]));
+        out.sh.extend([0, 1, 2].map(|channel| by_channel[channel * (rest / 3) + n]));
     }
     out.opacity_logits.push(row[tail]);
-    out.log_scales
-        .push([row[tail + 1], row[tail + 2], row[tail + 3]]);
-    out.quats
-        .push([row[tail + 4], row[tail + 5], row[tail + 6], row[tail + 7]]);
+    out.log_scales.push([row[tail + 1], row[tail + 2], row[tail + 3]]);
+    out.quats.push([row[tail + 4], row[tail + 5], row[tail + 6], row[tail + 7]]);
 }
 
 #[cfg(test)]
@@ -358,9 +302,7 @@ mod tests {
         let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
         Gaussians {
             means: (0..count).map(|i| [0, 1, 2].map(|n| value(i, n))).collect(),
-            quats: (0..count)
-                .map(|i| [3, 4, 5, 6].map(|n| value(i, n)))
-                .collect(),
+            quats: (0..count).map(|i| [3, 4, 5, 6].map(|n| value(i, n))).collect(),
             log_scales: (0..count).map(|i| [7, 8, 9].map(|n| value(i, n))).collect(),
             opacity_logits: (0..count).map(|i| value(i, 10)).collect(),
             sh: (0..count * row).map(|n| value(n, 2)).collect(),
@@ -385,11 +327,7 @@ mod tests {
         let (path, scene) = (folder.path().join("scene.ply"), scene(5, 1));
         let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
         for left_out in [true, false] {
-            let by = Normalisation {
-                offset,
-                scale: 0.0625,
-                left_out,
-            };
+            let by = Normalisation { offset, scale: 0.0625, left_out };
             write(&scene, &by, &path).expect("written");
             let found = read(&path).expect("read");
             assert_eq!(found.normalisation, by);
@@ -426,11 +364,7 @@ mod tests {
             read(&path)
         };
         assert!(with("offset of somebody else").is_ok());
-        for bad in [
-            "fled: trained as world less 1 2 x times 1",
-            "fled: add",
-            "fled: what",
-        ] {
+        for bad in ["fled: trained as world less 1 2 x times 1", "fled: add", "fled: what"] {
             assert!(matches!(with(bad), Err(PlyError::Format { .. })), "{bad}");
         }
         assert!(with("fled: trained as world less 1 2 3 times 0").is_err());
@@ -441,11 +375,7 @@ mod tests {
         let scene = scene(1, 1);
         let mut bytes = Vec::new();
         write_to(&scene, &Normalisation::default(), &mut bytes).expect("written");
-        let at = bytes
-            .windows(11)
-            .position(|w| w == b"end_header\n")
-            .expect("a header")
-            + 11;
+        let at = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
         let body: Vec<_> = bytes[at..]
             .chunks_exact(4)
             .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))

@@ -83,11 +83,7 @@ impl Image<Srgb> {
         let from = (samples.width, samples.height);
         let (width, height) = at_most(from.0, from.1, long_side.max(1));
         let shrinks = (width, height) != from;
-        let table = if shrinks {
-            samples.table(srgb_to_linear)
-        } else {
-            samples.table(|v| v)
-        };
+        let table = if shrinks { samples.table(srgb_to_linear) } else { samples.table(|v| v) };
         let average = AreaAverage::new(from, (width, height));
         let mut image = Self::new(width, height);
         for channel in 0..3 {
@@ -95,10 +91,7 @@ impl Image<Srgb> {
             average.plane(from.0, row, image.plane_mut(channel));
         }
         if shrinks {
-            image
-                .data_mut()
-                .iter_mut()
-                .for_each(|v| *v = linear_to_srgb(*v));
+            image.data_mut().iter_mut().for_each(|v| *v = linear_to_srgb(*v));
         }
         Ok(image)
     }
@@ -114,10 +107,7 @@ struct Opened {
 
 impl Opened {
     fn open(path: &Path) -> Result<Self, ImageError> {
-        let io = |source| ImageError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let io = |source| ImageError::Io { path: path.to_owned(), source };
         let file = File::open(path).map_err(io)?;
         let metadata = file.metadata().map_err(io)?;
         if !metadata.is_file() {
@@ -130,10 +120,7 @@ impl Opened {
         }
         let mut file = BufReader::new(file);
         let mut head = Vec::with_capacity(32);
-        Read::by_ref(&mut file)
-            .take(32)
-            .read_to_end(&mut head)
-            .map_err(io)?;
+        Read::by_ref(&mut file).take(32).read_to_end(&mut head).map_err(io)?;
         let format = match kind(&head, path) {
             Kind::Readable(format) => format,
             Kind::Heic => {
@@ -155,11 +142,9 @@ impl Opened {
         };
         file.rewind().map_err(io)?;
         match format {
-            ImageFormat::Tiff => Self::with_reader(
-                pages::Paged::open(file.into_inner()).map_err(io)?,
-                format,
-                0,
-            ),
+            ImageFormat::Tiff => {
+                Self::with_reader(pages::Paged::open(file.into_inner()).map_err(io)?, format, 0)
+            }
             // Its decoder and the check each hold the whole file.
             ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len())
                 .map_err(|error| jpeg::named(&fs::read(path).unwrap_or_default(), error)),
@@ -205,11 +190,7 @@ impl Opened {
         };
         let orientation = orientation.unwrap_or(Orientation::NoTransforms);
         // A turned picture is a second one beside the first.
-        let copies = if orientation == Orientation::NoTransforms {
-            1
-        } else {
-            2
-        };
+        let copies = if orientation == Orientation::NoTransforms { 1 } else { 2 };
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
         let decoded_bytes = decoded_bytes.saturating_add(beside);
         let (width, height) = match orientation.to_exif() {
@@ -220,13 +201,7 @@ impl Opened {
         Ok(Self {
             decoder,
             orientation,
-            header: Header {
-                width,
-                height,
-                orientation,
-                focal_px,
-                decoded_bytes,
-            },
+            header: Header { width, height, orientation, focal_px, decoded_bytes },
             is_jpeg: format == Some(ImageFormat::Jpeg),
         })
     }
@@ -251,10 +226,8 @@ impl Samples {
         guarded(|| {
             let opened = Opened::open(path)?;
             let grid = if opened.is_jpeg {
-                let bytes = fs::read(path).map_err(|source| ImageError::Io {
-                    path: path.to_owned(),
-                    source,
-                })?;
+                let bytes = fs::read(path)
+                    .map_err(|source| ImageError::Io { path: path.to_owned(), source })?;
                 jpeg::check(&bytes)?
             } else {
                 None
@@ -267,12 +240,7 @@ impl Samples {
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;
-            Ok(Self {
-                width,
-                height,
-                channels,
-                values,
-            })
+            Ok(Self { width, height, channels, values })
         })
     }
 
@@ -355,20 +323,17 @@ fn told(error: &image::ImageError) -> ImageError {
     let message = format!("its decoder says: {error}");
     match error {
         image::ImageError::Unsupported(_) => ImageError::Unsupported { message },
-        image::ImageError::Limits(_) => ImageError::Unsupported {
-            message: "decoding it takes more than 1 GiB".to_owned(),
-        },
+        image::ImageError::Limits(_) => {
+            ImageError::Unsupported { message: "decoding it takes more than 1 GiB".to_owned() }
+        }
         _ => ImageError::Damaged { message },
     }
 }
 
 /// Runs a decoder; where a hostile file makes it panic, the file is at fault, not the run.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
-    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
-        Err(ImageError::Damaged {
-            message: "the decoder gave up".to_owned(),
-        })
-    })
+    catch_unwind(AssertUnwindSafe(decode))
+        .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))
 }
 
 #[cfg(test)]

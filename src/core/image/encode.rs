@@ -32,18 +32,11 @@ impl EncodeFormat {
     /// By extension: `.jpg` and `.jpeg` give JPEG of quality 92, `.webp` lossless WebP, anything
     /// else 8-bit PNG.
     pub fn of(path: &Path) -> Self {
-        let extension = path
-            .extension()
-            .and_then(|e| e.to_str())
-            .unwrap_or_default();
+        let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         if extension.eq_ignore_ascii_case("jpg") || extension.eq_ignore_ascii_case("jpeg") {
             return Self::Jpeg(DEFAULT_JPEG_QUALITY);
         }
-        if extension.eq_ignore_ascii_case("webp") {
-            Self::Webp
-        } else {
-            Self::Png
-        }
+        if extension.eq_ignore_ascii_case("webp") { Self::Webp } else { Self::Png }
     }
 }
 
@@ -63,11 +56,7 @@ impl Image<Srgb> {
     /// # Panics
     /// When the length is not `3 * width * height`: a fault of the caller.
     pub fn from_rgb8(width: usize, height: usize, rgb: &[u8]) -> Self {
-        assert_eq!(
-            rgb.len(),
-            3 * width * height,
-            "interleaved data of {width}x{height}"
-        );
+        assert_eq!(rgb.len(), 3 * width * height, "interleaved data of {width}x{height}");
         let mut image = Self::new(width, height);
         for channel in 0..3 {
             let values = rgb.iter().skip(channel).step_by(3);
@@ -96,11 +85,8 @@ impl Image<Srgb> {
             ),
             EncodeFormat::Png16 => {
                 // The encoder wants native-endian bytes and swaps them itself.
-                let samples: Vec<u8> = self
-                    .to_rgb16()
-                    .into_iter()
-                    .flat_map(u16::to_ne_bytes)
-                    .collect();
+                let samples: Vec<u8> =
+                    self.to_rgb16().into_iter().flat_map(u16::to_ne_bytes).collect();
                 PngEncoder::new(&mut bytes).write_image(
                     &samples,
                     width,
@@ -120,9 +106,7 @@ impl Image<Srgb> {
                 ExtendedColorType::Rgb8,
             ),
         };
-        outcome.map_err(|error| ImageError::Encode {
-            message: error.to_string(),
-        })?;
+        outcome.map_err(|error| ImageError::Encode { message: error.to_string() })?;
         Ok(bytes.into_inner())
     }
 
@@ -139,18 +123,13 @@ impl Image<Srgb> {
     /// # Errors
     /// As [`Image::save`].
     pub fn save_as(&self, path: &Path, format: EncodeFormat) -> Result<(), ImageError> {
-        write_atomic(path, &self.encode(format)?).map_err(|source| ImageError::Io {
-            path: path.to_owned(),
-            source,
-        })
+        write_atomic(path, &self.encode(format)?)
+            .map_err(|source| ImageError::Io { path: path.to_owned(), source })
     }
 
     fn interleaved<T>(&self, quantise: impl Fn(f32) -> T) -> Vec<T> {
         let (red, green, blue) = (self.plane(0), self.plane(1), self.plane(2));
-        (0..self.pixels())
-            .flat_map(|i| [red[i], green[i], blue[i]])
-            .map(quantise)
-            .collect()
+        (0..self.pixels()).flat_map(|i| [red[i], green[i], blue[i]]).map(quantise).collect()
     }
 }
 
@@ -162,10 +141,7 @@ impl Image<Srgb> {
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
-    let name = path
-        .file_name()
-        .ok_or_else(|| io::Error::other("no file name"))?
-        .to_string_lossy();
+    let name = path.file_name().ok_or_else(|| io::Error::other("no file name"))?.to_string_lossy();
     // A name of 255 bytes must not grow: the temporary one keeps only its start.
     let start: String = name.chars().take(40).collect();
     let temporary = path.with_file_name(format!(".{start}.{}.{unique}.tmp", std::process::id()));
@@ -188,9 +164,7 @@ mod tests {
     use super::*;
 
     fn picture() -> Image<Srgb> {
-        let data = (0..3 * 12 * 7)
-            .map(|i| (i as f32 * 0.37).sin() * 0.5 + 0.5)
-            .collect();
+        let data = (0..3 * 12 * 7).map(|i| (i as f32 * 0.37).sin() * 0.5 + 0.5).collect();
         Image::from_planar(12, 7, data)
     }
 

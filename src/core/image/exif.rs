@@ -21,8 +21,7 @@ pub(super) fn read(mut block: Vec<u8>) -> Option<Exif> {
     }
     let mut reader = Reader::new();
     let exif = reader.continue_on_error(true).read_raw(block);
-    exif.or_else(|error| error.distill_partial_result(drop))
-        .ok()
+    exif.or_else(|error| error.distill_partial_result(drop)).ok()
 }
 
 /// How the picture is to be turned; of whichever integer type, as programs write it.
@@ -42,9 +41,7 @@ pub(super) fn orientation(exif: &Exif) -> Option<Orientation> {
 pub(super) fn focal_px(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     let focal =
         equivalent(exif, width, height).or_else(|| by_sensor_resolution(exif, width, height))?;
-    PLAUSIBLE
-        .contains(&(focal / width.max(height) as f64))
-        .then_some(focal)
+    PLAUSIBLE.contains(&(focal / width.max(height) as f64)).then_some(focal)
 }
 
 /// From the 35 mm equivalent: the diagonals correspond.
@@ -65,10 +62,8 @@ fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64>
         5 => 0.001,
         _ => return None,
     };
-    let (taken_width, taken_height) = (
-        positive(exif, Tag::PixelXDimension)?,
-        positive(exif, Tag::PixelYDimension)?,
-    );
+    let (taken_width, taken_height) =
+        (positive(exif, Tag::PixelXDimension)?, positive(exif, Tag::PixelYDimension)?);
     // The long sides are compared: a rotated picture keeps its EXIF numbers.
     let resized = width.max(height) as f64 / taken_width.max(taken_height);
     Some(millimetres * per_unit / unit_mm * resized)
@@ -95,18 +90,12 @@ pub(crate) mod tests {
     fn ordered_block(fields: &[(Tag, Value)], little_endian: bool) -> Vec<u8> {
         let fields: Vec<Field> = fields
             .iter()
-            .map(|(tag, value)| Field {
-                tag: *tag,
-                ifd_num: In::PRIMARY,
-                value: value.clone(),
-            })
+            .map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() })
             .collect();
         let mut writer = Writer::new();
         fields.iter().for_each(|field| writer.push_field(field));
         let mut bytes = std::io::Cursor::new(Vec::new());
-        writer
-            .write(&mut bytes, little_endian)
-            .expect("EXIF written");
+        writer.write(&mut bytes, little_endian).expect("EXIF written");
         bytes.into_inner()
     }
 
@@ -138,11 +127,7 @@ pub(crate) mod tests {
                 }
             }
         }
-        for wrong in [
-            Value::Short(vec![0]),
-            Value::Long(vec![262]),
-            Value::SLong(vec![-1]),
-        ] {
+        for wrong in [Value::Short(vec![0]), Value::Long(vec![262]), Value::SLong(vec![-1])] {
             let exif = read(block(&[(Tag::Orientation, wrong)])).expect("EXIF");
             assert_eq!(orientation(&exif), None);
         }
@@ -170,16 +155,9 @@ pub(crate) mod tests {
 
     #[test]
     fn millimetres_alone_zeros_and_nonsense_give_nothing() {
+        assert_eq!(focal_px(block(&[(Tag::FocalLength, rational(50, 1))]), 4000, 3000), None);
         assert_eq!(
-            focal_px(block(&[(Tag::FocalLength, rational(50, 1))]), 4000, 3000),
-            None
-        );
-        assert_eq!(
-            focal_px(
-                block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]),
-                4000,
-                3000
-            ),
+            focal_px(block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]), 4000, 3000),
             None
         );
         assert_eq!(

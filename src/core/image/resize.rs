@@ -18,10 +18,7 @@ fn spans(from: usize, to: usize) -> Vec<Span> {
             let last = (end.ceil() as usize).clamp(first + 1, from);
             let covered = |k: usize| (end.min((k + 1) as f64) - start.max(k as f64)).max(0.0);
             let total: f64 = (first..last).map(covered).sum();
-            Span {
-                first,
-                weights: (first..last).map(|k| (covered(k) / total) as f32).collect(),
-            }
+            Span { first, weights: (first..last).map(|k| (covered(k) / total) as f32).collect() }
         })
         .collect()
 }
@@ -36,10 +33,7 @@ pub(super) struct AreaAverage {
 impl AreaAverage {
     /// From `(width, height)` to `(width, height)`, all at least 1.
     pub(super) fn new(from: (usize, usize), to: (usize, usize)) -> Self {
-        Self {
-            columns: spans(from.0, to.0),
-            rows: spans(from.1, to.1),
-        }
+        Self { columns: spans(from.0, to.0), rows: spans(from.1, to.1) }
     }
 
     /// Averages one plane into `out` of the new size; `row(y, buffer)` gives a row of the input
@@ -62,10 +56,7 @@ impl AreaAverage {
                     row(have, &mut wide);
                     self.narrow(&wide, &mut narrow);
                 }
-                target
-                    .iter_mut()
-                    .zip(&narrow)
-                    .for_each(|(sum, value)| *sum += weight * value);
+                target.iter_mut().zip(&narrow).for_each(|(sum, value)| *sum += weight * value);
             }
         }
     }
@@ -132,18 +123,12 @@ impl<E> Image<E> {
     /// Bilinear at a new size, the corners of the pictures aligned. For enlarging: shrinking by
     /// more than 2 skips pixels, use [`Image::resize_area`] there.
     pub fn resize_bilinear(&self, width: usize, height: usize) -> Self {
-        let (step_x, step_y) = (
-            self.width as f32 / width as f32,
-            self.height as f32 / height as f32,
-        );
+        let (step_x, step_y) =
+            (self.width as f32 / width as f32, self.height as f32 / height as f32);
         let mut out = Self::new(width, height);
         for y in 0..height {
             for x in 0..width {
-                out.set(
-                    x,
-                    y,
-                    self.sample((x as f32 + 0.5) * step_x, (y as f32 + 0.5) * step_y),
-                );
+                out.set(x, y, self.sample((x as f32 + 0.5) * step_x, (y as f32 + 0.5) * step_y));
             }
         }
         out
@@ -169,9 +154,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn ramp(width: usize, height: usize) -> Image<Srgb> {
-        let data = (0..3 * width * height)
-            .map(|i| ((i * 7919) % 1009) as f32 / 1008.0)
-            .collect();
+        let data = (0..3 * width * height).map(|i| ((i * 7919) % 1009) as f32 / 1008.0).collect();
         Image::from_planar(width, height, data)
     }
 
@@ -195,9 +178,7 @@ mod tests {
 
     #[test]
     fn bilinear_keeps_a_linear_ramp_linear_inside() {
-        let data = (0..3)
-            .flat_map(|_| (0..8).map(|x| x as f32 / 7.0))
-            .collect();
+        let data = (0..3).flat_map(|_| (0..8).map(|x| x as f32 / 7.0)).collect();
         let image = Image::<Srgb>::from_planar(8, 1, data);
         let double = image.resize_bilinear(16, 1);
         for x in 1..15 {

@@ -44,23 +44,11 @@ enum Sort {
 }
 
 impl Unread {
-    const RAW: Self = Self {
-        name: "camera raw",
-        sort: Sort::Raw,
-    };
-    const AVIF: Self = Self {
-        name: "AVIF",
-        sort: Sort::Picture,
-    };
+    const RAW: Self = Self { name: "camera raw", sort: Sort::Raw };
+    const AVIF: Self = Self { name: "AVIF", sort: Sort::Picture };
     /// Two fisheyes side by side, in the bytes of a JPEG.
-    const INSTA360: Self = Self {
-        name: "INSP photographs",
-        sort: Sort::Sphere,
-    };
-    const BURST: Self = Self {
-        name: "HEIC burst",
-        sort: Sort::Picture,
-    };
+    const INSTA360: Self = Self { name: "INSP photographs", sort: Sort::Sphere };
+    const BURST: Self = Self { name: "HEIC burst", sort: Sort::Picture };
 
     /// The format that a file's name claims, where that is one that is known and not read.
     pub(crate) fn named(path: &Path) -> Option<Self> {
@@ -92,10 +80,9 @@ impl fmt::Display for Unread {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let name = self.name;
         match self.sort {
-            Sort::Picture => write!(
-                f,
-                "{name} pictures are not read: save them as JPEG, PNG, TIFF or HEIC"
-            ),
+            Sort::Picture => {
+                write!(f, "{name} pictures are not read: save them as JPEG, PNG, TIFF or HEIC")
+            }
             Sort::Raw => write!(
                 f,
                 "{name} files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with \
@@ -130,83 +117,36 @@ const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("GIF", Sort::Picture), b"GIF8", &["gif"]),
     (unread("JPEG XL", Sort::Picture), b"\xff\x0a", &["jxl"]),
     (unread("JPEG XL", Sort::Picture), b"\0\0\0\x0cJXL ", &[]),
-    (
-        unread("JPEG 2000", Sort::Picture),
-        b"\0\0\0\x0cjP  ",
-        &["jp2", "j2k", "jpf", "jpx"],
-    ),
+    (unread("JPEG 2000", Sort::Picture), b"\0\0\0\x0cjP  ", &["jp2", "j2k", "jpf", "jpx"]),
     (unread("JPEG 2000", Sort::Picture), b"\xff\x4f\xff\x51", &[]),
     (unread("JPEG XR", Sort::Picture), b"II\xbc", &["jxr", "wdp"]),
     (Unread::AVIF, b"", &["avif", "avifs"]),
     (Unread::INSTA360, b"", &["insp"]),
     (unread("Photoshop", Sort::Picture), b"8BPS", &["psd", "psb"]),
-    (
-        unread("OpenEXR", Sort::Picture),
-        b"\x76\x2f\x31\x01",
-        &["exr"],
-    ),
+    (unread("OpenEXR", Sort::Picture), b"\x76\x2f\x31\x01", &["exr"]),
     (unread("Radiance HDR", Sort::Picture), b"#?R", &["hdr"]),
     (unread("PNM", Sort::Picture), b"P6", &["ppm", "pgm", "pnm"]),
     (unread("TGA", Sort::Picture), b"", &["tga"]),
-    (
-        unread("Matroska or WebM", Sort::Video),
-        b"\x1a\x45\xdf\xa3",
-        &["mkv", "webm"],
-    ),
-    (
-        unread("WMV", Sort::Video),
-        b"\x30\x26\xb2\x75",
-        &["wmv", "asf"],
-    ),
+    (unread("Matroska or WebM", Sort::Video), b"\x1a\x45\xdf\xa3", &["mkv", "webm"]),
+    (unread("WMV", Sort::Video), b"\x30\x26\xb2\x75", &["wmv", "asf"]),
     (unread("Flash", Sort::Video), b"FLV", &["flv"]),
-    (
-        unread("MPEG", Sort::Video),
-        b"\0\0\x01\xba",
-        &["mpg", "mpeg", "vob", "ts", "mts", "m2ts"],
-    ),
+    (unread("MPEG", Sort::Video), b"\0\0\x01\xba", &["mpg", "mpeg", "vob", "ts", "mts", "m2ts"]),
     (unread("AVI", Sort::Video), b"", &["avi"]),
     (unread("3GP", Sort::Video), b"", &["3gp", "3g2"]),
     (unread("360-degree", Sort::Video), b"", &["insv", "360"]),
     (unread("damaged or inner ZIP", Sort::Archive), b"", &["zip"]),
     (unread("RAR", Sort::Archive), b"Rar!", &["rar"]),
     (unread("7z", Sort::Archive), b"7z\xbc\xaf", &["7z"]),
-    (
-        unread("gzip (tar.gz)", Sort::Archive),
-        b"\x1f\x8b",
-        &["gz", "tgz"],
-    ),
-    (
-        unread("bzip2 (tar.bz2)", Sort::Archive),
-        b"BZh",
-        &["bz2", "tbz", "tbz2"],
-    ),
-    (
-        unread("xz (tar.xz)", Sort::Archive),
-        b"\xfd7zXZ",
-        &["xz", "txz"],
-    ),
-    (
-        unread("Zstandard", Sort::Archive),
-        b"\x28\xb5\x2f\xfd",
-        &["zst", "tzst"],
-    ),
+    (unread("gzip (tar.gz)", Sort::Archive), b"\x1f\x8b", &["gz", "tgz"]),
+    (unread("bzip2 (tar.bz2)", Sort::Archive), b"BZh", &["bz2", "tbz", "tbz2"]),
+    (unread("xz (tar.xz)", Sort::Archive), b"\xfd7zXZ", &["xz", "txz"]),
+    (unread("Zstandard", Sort::Archive), b"\x28\xb5\x2f\xfd", &["zst", "tzst"]),
     (unread("tar", Sort::Archive), b"", &["tar"]),
     (unread("a PDF", Sort::Other), b"%PDF", &[]),
     (unread("a web page", Sort::Other), b"<!DOCTYPE", &[]),
     (unread("a web page", Sort::Other), b"<html", &[]),
-    (
-        unread(
-            "iCloud's stand-in for a file that it has not loaded",
-            Sort::Other,
-        ),
-        b"",
-        &["icloud"],
-    ),
-    (
-        unread("the pointer of Git LFS to a file", Sort::Other),
-        b"version https://git-lfs",
-        &[],
-    ),
+    (unread("iCloud's stand-in for a file that it has not loaded", Sort::Other), b"", &["icloud"]),
+    (unread("the pointer of Git LFS to a file", Sort::Other), b"version https://git-lfs", &[]),
 ];
 
 /// Extensions of raw files, whose bytes may look like TIFF.
@@ -253,23 +193,13 @@ fn foreign(head: &[u8]) -> Option<Kind> {
         });
     }
     let canon = head.starts_with(b"II*\0") && head.get(8..10) == Some(b"CR".as_slice());
-    let raw: [&[u8]; 6] = [
-        b"FUJIFILMCCD-RAW",
-        b"IIRO",
-        b"IIRS",
-        b"MMOR",
-        b"IIU\0",
-        b"\0MRM",
-    ];
+    let raw: [&[u8]; 6] = [b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"\0MRM"];
     if canon || raw.iter().any(|signature| head.starts_with(signature)) {
         return Some(Kind::Unread(Unread::RAW));
     }
     let begins =
         |unread: &&(Unread, &[u8], &[&str])| !unread.1.is_empty() && head.starts_with(unread.1);
-    UNREAD
-        .iter()
-        .find(begins)
-        .map(|unread| Kind::Unread(unread.0))
+    UNREAD.iter().find(begins).map(|unread| Kind::Unread(unread.0))
 }
 
 /// Whether a file of this name claims to be a picture: used to tell a broken photograph from a
@@ -299,23 +229,14 @@ mod tests {
             kind(b"\0\0\0\x18ftypcrx \0\0\0\x01", Path::new("a.jpg")),
             Kind::Unread(Unread::RAW)
         );
-        assert_eq!(
-            kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")),
-            Kind::Unread(Unread::RAW)
-        );
-        assert_eq!(
-            kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")),
-            Kind::Unread(Unread::RAW)
-        );
+        assert_eq!(kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")), Kind::Unread(Unread::RAW));
+        assert_eq!(kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")), Kind::Unread(Unread::RAW));
     }
 
     #[test]
     fn a_tiff_is_readable_unless_its_extension_is_a_raw_formats() {
         let tiff = b"II*\0\x08\0\0\0\x0e\0\0\x01";
-        assert_eq!(
-            kind(tiff, Path::new("a.tif")),
-            Kind::Readable(ImageFormat::Tiff)
-        );
+        assert_eq!(kind(tiff, Path::new("a.tif")), Kind::Readable(ImageFormat::Tiff));
         assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Unread(Unread::RAW));
         let fisheyes = kind(b"\xff\xd8\xff\xe1", Path::new("a.insp"));
         assert_eq!(fisheyes, Kind::Unread(Unread::INSTA360));
@@ -328,25 +249,13 @@ mod tests {
             other => panic!("{name}: {other:?}"),
         };
         let cases: [(&[u8], &str, &str); 9] = [
-            (
-                b"BM\x36\x10",
-                "a.jpg",
-                "BMP pictures are not read: save them",
-            ),
+            (b"BM\x36\x10", "a.jpg", "BMP pictures are not read: save them"),
             (b"8BPS\0\x01", "a.psd", "Photoshop pictures"),
             (b"\xff\x0a\xfa", "a.jxl", "JPEG XL pictures"),
-            (
-                b"Rar!\x1a\x07",
-                "a.zip",
-                "RAR archives are not read: unpack it",
-            ),
+            (b"Rar!\x1a\x07", "a.zip", "RAR archives are not read: unpack it"),
             (b"7z\xbc\xaf\x27\x1c", "a.7z", "7z archives"),
             (b"\x1f\x8b\x08", "a.tar.gz", "gzip (tar.gz) archives"),
-            (
-                b"\x1a\x45\xdf\xa3",
-                "a.mkv",
-                "Matroska or WebM videos are not read: convert",
-            ),
+            (b"\x1a\x45\xdf\xa3", "a.mkv", "Matroska or WebM videos are not read: convert"),
             (b"<!DOCTYPE html>", "a.jpg", "a web page"),
             (b"\0\0\0\x18ftyp3gp5", "a.3gp", "3GP videos"),
         ];
@@ -368,10 +277,7 @@ mod tests {
 
     #[test]
     fn text_named_jpg_is_nothing_known() {
-        assert_eq!(
-            kind(b"hello there, this is text", Path::new("a.jpg")),
-            Kind::Unknown
-        );
+        assert_eq!(kind(b"hello there, this is text", Path::new("a.jpg")), Kind::Unknown);
         assert_eq!(kind(b"", Path::new("a.jpg")), Kind::Unknown);
     }
 }

@@ -80,10 +80,7 @@ mod tests {
         assert!((linear_to_srgb(0.18) - 0.461_356_13).abs() < 1e-6);
         for step in 0..=1000 {
             let value = step as f32 / 1000.0;
-            assert!(
-                (linear_to_srgb(srgb_to_linear(value)) - value).abs() < 1e-5,
-                "{value}"
-            );
+            assert!((linear_to_srgb(srgb_to_linear(value)) - value).abs() < 1e-5, "{value}");
         }
     }
 }

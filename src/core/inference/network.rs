@@ -48,17 +48,11 @@ impl Network {
             let tensor = tensor.map_err(|error| error.to_string())?;
             tensors.push((input.name, SessionInputValue::from(tensor)));
         }
-        let made = self
-            .session
-            .run(tensors)
-            .map_err(|error| error.to_string())?;
+        let made = self.session.run(tensors).map_err(|error| error.to_string())?;
         let read = |name: &str| {
-            let value = made
-                .get(name)
-                .ok_or_else(|| format!("there is no output `{name}`"))?;
-            let (shape, values) = value
-                .try_extract_tensor::<f32>()
-                .map_err(|error| error.to_string())?;
+            let value = made.get(name).ok_or_else(|| format!("there is no output `{name}`"))?;
+            let (shape, values) =
+                value.try_extract_tensor::<f32>().map_err(|error| error.to_string())?;
             Ok::<_, String>(Output {
                 shape: shape.iter().map(|&side| side as usize).collect(),
                 values: values.to_vec(),

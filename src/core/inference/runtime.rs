@@ -56,11 +56,7 @@ impl Runtime {
     pub fn has_cuda(&self) -> bool {
         // The parent of a mere file name is empty: the system's loader does not search the current
         // folder.
-        let folder = self
-            .info
-            .path
-            .parent()
-            .filter(|folder| !folder.as_os_str().is_empty());
+        let folder = self.info.path.parent().filter(|folder| !folder.as_os_str().is_empty());
         folder.is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
     }
 
@@ -98,11 +94,7 @@ pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, Runt
 pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, RuntimeError> {
     let candidates = match explicit {
         Some(path) => vec![path.to_path_buf()],
-        None => search
-            .iter()
-            .cloned()
-            .chain([PathBuf::from(LIBRARY)])
-            .collect(),
+        None => search.iter().cloned().chain([PathBuf::from(LIBRARY)]).collect(),
     };
     let mut tried = Vec::new();
     for candidate in candidates {
@@ -115,44 +107,29 @@ pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, 
 }
 
 fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
-    let path = if candidate.is_dir() {
-        candidate.join(LIBRARY)
-    } else {
-        candidate
-    };
+    let path = if candidate.is_dir() { candidate.join(LIBRARY) } else { candidate };
     let by_loader = path.as_os_str() == LIBRARY;
     if !by_loader && !path.is_file() {
         return Err(format!("{}: no such file", path.display()));
     }
     // An absolute path: `ort` resolves a relative one against the executable.
-    let path = if by_loader {
-        path
-    } else {
-        path.canonicalize().unwrap_or(path)
-    };
+    let path = if by_loader { path } else { path.canonicalize().unwrap_or(path) };
     match ort::util::probe(&path) {
-        Some(minor) if minor >= ort::MINOR_VERSION => Ok(RuntimeInfo {
-            path,
-            version: format!("1.{minor}"),
-        }),
+        Some(minor) if minor >= ort::MINOR_VERSION => {
+            Ok(RuntimeInfo { path, version: format!("1.{minor}") })
+        }
         Some(minor) => Err(format!(
             "{}: version 1.{minor}, at least 1.{} is needed",
             path.display(),
             ort::MINOR_VERSION
         )),
         None if by_loader => Err("the system's loader: not found".to_owned()),
-        None => Err(format!(
-            "{}: not an ONNX Runtime library for this machine",
-            path.display()
-        )),
+        None => Err(format!("{}: not an ONNX Runtime library for this machine", path.display())),
     }
 }
 
 fn start(mut info: RuntimeInfo) -> Result<Runtime, RuntimeError> {
-    let unusable = |detail: String| RuntimeError::Unusable {
-        path: info.path.clone(),
-        detail,
-    };
+    let unusable = |detail: String| RuntimeError::Unusable { path: info.path.clone(), detail };
     let environment = ort::init_from(&info.path)
         .map_err(|e| unusable(e.to_string()))?
         .with_name("fled")
@@ -171,12 +148,9 @@ fn start(mut info: RuntimeInfo) -> Result<Runtime, RuntimeError> {
 
 /// The library's file in Linux's list of the process's mappings.
 fn mapped(maps: &str) -> Option<PathBuf> {
-    let paths = maps
-        .lines()
-        .filter_map(|line| line.find('/').map(|at| Path::new(&line[at..])));
+    let paths = maps.lines().filter_map(|line| line.find('/').map(|at| Path::new(&line[at..])));
     let is_library = |path: &&Path| {
-        path.file_name()
-            .is_some_and(|name| name.to_string_lossy().starts_with(LIBRARY))
+        path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(LIBRARY))
     };
     paths.filter(is_library).map(Path::to_path_buf).next()
 }
@@ -185,14 +159,8 @@ fn mapped(maps: &str) -> Option<PathBuf> {
 #[cfg(test)]
 pub(crate) fn as_if_in(folder: &Path) -> Runtime {
     let runtime = for_tests();
-    let info = RuntimeInfo {
-        path: folder.join(LIBRARY),
-        version: runtime.info.version,
-    };
-    Runtime {
-        environment: runtime.environment,
-        info,
-    }
+    let info = RuntimeInfo { path: folder.join(LIBRARY), version: runtime.info.version };
+    Runtime { environment: runtime.environment, info }
 }
 
 /// The library that `make onnxruntime` fetched, for the tests of this crate.
@@ -214,10 +182,7 @@ mod tests {
         let error =
             load(Some(Path::new("/nowhere/libonnxruntime.so")), &[]).expect_err("not there");
         let text = error.to_string();
-        assert!(
-            text.contains("make onnxruntime") && text.contains("/nowhere/"),
-            "{text}"
-        );
+        assert!(text.contains("make onnxruntime") && text.contains("/nowhere/"), "{text}");
     }
 
     #[test]
@@ -225,10 +190,7 @@ mod tests {
         let directory = tempfile::tempdir().expect("temporary directory");
         std::fs::write(directory.path().join(LIBRARY), "not a library").expect("write");
         let error = find(Some(directory.path()), &[]).expect_err("not a library");
-        assert!(
-            error.to_string().contains("not an ONNX Runtime library"),
-            "{error}"
-        );
+        assert!(error.to_string().contains("not an ONNX Runtime library"), "{error}");
     }
 
     #[test]
@@ -237,10 +199,7 @@ mod tests {
         let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime");
         let found = find(None, &[empty.path().to_path_buf(), local.clone()]);
         let found = found.unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(
-            found.path,
-            local.join(LIBRARY).canonicalize().expect("fetched")
-        );
+        assert_eq!(found.path, local.join(LIBRARY).canonicalize().expect("fetched"));
     }
 
     #[test]

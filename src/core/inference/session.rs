@@ -47,10 +47,7 @@ pub fn session(
     alone: bool,
     threads: usize,
 ) -> Result<Session, String> {
-    #[expect(
-        clippy::needless_pass_by_value,
-        reason = "the form that `map_err` calls"
-    )]
+    #[expect(clippy::needless_pass_by_value, reason = "the form that `map_err` calls")]
     fn text<R>(error: ort::Error<R>) -> String {
         error.to_string()
     }
@@ -65,10 +62,7 @@ pub fn session(
     // Strictly: ort would otherwise fall back to the CPU silently.
     let provider = match provider {
         // Without TF32, whose mantissa has 10 bits: the self-test tolerates rounding, but not that.
-        Provider::Cuda => ep::CUDA::default()
-            .with_tf32(false)
-            .build()
-            .error_on_failure(),
+        Provider::Cuda => ep::CUDA::default().with_tf32(false).build().error_on_failure(),
         Provider::Cpu => ep::CPU::default().build(),
     };
     let mut builder = builder.with_execution_providers([provider]).map_err(text)?;

@@ -17,11 +17,7 @@ pub fn correlation(image: &Image, reference: &Image) -> f64 {
     let (a, b) = (structure(image), structure(reference));
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let size = (product(&a, &a) * product(&b, &b)).sqrt();
-    if size.is_finite() && size > 0.0 {
-        product(&a, &b) / size
-    } else {
-        0.0
-    }
+    if size.is_finite() && size > 0.0 { product(&a, &b) / size } else { 0.0 }
 }
 
 /// The luma of each cell minus its mean over the cells around.
@@ -33,11 +29,7 @@ fn structure(image: &Image) -> Vec<f64> {
     let rows = around(&values, width, height);
     let columns = around(&turned(&rows, width, height), height, width);
     let means = turned(&columns, height, width);
-    values
-        .iter()
-        .zip(means)
-        .map(|(value, mean)| value - mean)
-        .collect()
+    values.iter().zip(means).map(|(value, mean)| value - mean).collect()
 }
 
 /// Means over up to [`RADIUS`] values on each side within a row.
@@ -47,16 +39,12 @@ fn around(values: &[f64], width: usize, height: usize) -> Vec<f64> {
         let some = &values[row * width + from..row * width + to];
         some.iter().sum::<f64>() / some.len() as f64
     };
-    (0..height)
-        .flat_map(|row| (0..width).map(move |x| mean(row, x)))
-        .collect()
+    (0..height).flat_map(|row| (0..width).map(move |x| mean(row, x))).collect()
 }
 
 /// Transposes the values.
 fn turned(values: &[f64], width: usize, height: usize) -> Vec<f64> {
-    (0..width)
-        .flat_map(|x| (0..height).map(move |y| values[y * width + x]))
-        .collect()
+    (0..width).flat_map(|x| (0..height).map(move |y| values[y * width + x])).collect()
 }
 
 #[cfg(test)]

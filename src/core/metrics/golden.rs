@@ -38,10 +38,7 @@ fn picture(width: usize, height: usize) -> Image {
     for c in 0..3 {
         for y in 0..height {
             for x in 0..width {
-                let (wx, wy) = (
-                    0.21 * x as f64 + 0.9 * c as f64,
-                    0.13 * y as f64 - 0.4 * c as f64,
-                );
+                let (wx, wy) = (0.21 * x as f64 + 0.9 * c as f64, 0.13 * y as f64 - 0.4 * c as f64);
                 let waves = 0.45 + 0.25 * wx.sin() * wy.cos();
                 values.push((waves + 0.15 * ((x / 9 + y / 7) % 2) as f64) as f32);
             }
@@ -85,12 +82,7 @@ fn every_metric_matches_scikit_image_and_numpy() {
     for golden in cases {
         let reference = picture(golden.size[0], golden.size[1]);
         let image = degraded(&reference, golden.change);
-        assert_eq!(
-            disagreement(&golden, &image, &reference),
-            None,
-            "at {:?}",
-            golden.size
-        );
+        assert_eq!(disagreement(&golden, &image, &reference), None, "at {:?}", golden.size);
     }
 }
 
@@ -102,9 +94,6 @@ fn the_comparison_with_golden_values_can_fail() {
     image.set(20, 20, [0.0; 3]);
     assert!(disagreement(&golden, &image, &reference).is_some_and(|text| text.starts_with("psnr")));
     let image = degraded(&reference, golden.change);
-    let wrong = Golden {
-        ssim: golden.ssim + 1e-5,
-        ..golden
-    };
+    let wrong = Golden { ssim: golden.ssim + 1e-5, ..golden };
     assert!(disagreement(&wrong, &image, &reference).is_some_and(|text| text.starts_with("ssim")));
 }

@@ -16,10 +16,8 @@ const WHITE: f32 = 254.5 / 255.0;
 /// When the image is smaller than 3 x 3 px: a fault of the caller.
 pub fn noise_sigma(image: &Image) -> f64 {
     let luma = Luma::new(image);
-    let sum: f64 = luma
-        .responses([1.0, -2.0, 1.0, -2.0, 4.0, -2.0, 1.0, -2.0, 1.0])
-        .map(f64::abs)
-        .sum();
+    let sum: f64 =
+        luma.responses([1.0, -2.0, 1.0, -2.0, 4.0, -2.0, 1.0, -2.0, 1.0]).map(f64::abs).sum();
     (std::f64::consts::PI / 2.0).sqrt() * sum / (6.0 * luma.inner() as f64)
 }
 
@@ -31,9 +29,8 @@ pub fn noise_sigma(image: &Image) -> f64 {
 /// When the image is smaller than 3 x 3 px.
 pub fn sharpness(image: &Image) -> f64 {
     let luma = Luma::new(image);
-    let responses: Vec<f64> = luma
-        .responses([0.0, 1.0, 0.0, 1.0, -4.0, 1.0, 0.0, 1.0, 0.0])
-        .collect();
+    let responses: Vec<f64> =
+        luma.responses([0.0, 1.0, 0.0, 1.0, -4.0, 1.0, 0.0, 1.0, 0.0]).collect();
     let n = responses.len() as f64;
     let mean = responses.iter().sum::<f64>() / n;
     let variance = responses.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / n;
@@ -43,10 +40,7 @@ pub fn sharpness(image: &Image) -> f64 {
 
 /// Mean over the pixels of HSV's V, the largest channel, clipped to 0..=1.
 pub fn mean_v(image: &Image) -> f64 {
-    values(image)
-        .map(|v| f64::from(v.clamp(0.0, 1.0)))
-        .sum::<f64>()
-        / image.pixels().max(1) as f64
+    values(image).map(|v| f64::from(v.clamp(0.0, 1.0))).sum::<f64>() / image.pixels().max(1) as f64
 }
 
 /// Share of the pixels with a channel that is white in eight bits, 0..=1: clipped by brightening.
@@ -79,11 +73,7 @@ impl Luma {
                 *value += f64::from(weight) * f64::from(x);
             }
         }
-        Self {
-            width,
-            height,
-            values,
-        }
+        Self { width, height, values }
     }
 
     /// Number of pixels with all eight neighbours.
@@ -96,9 +86,7 @@ impl Luma {
         (1..self.height - 1).flat_map(move |y| {
             (1..self.width - 1).map(move |x| {
                 let corner = (y - 1) * self.width + x - 1;
-                (0..9)
-                    .map(|i| mask[i] * self.values[corner + i / 3 * self.width + i % 3])
-                    .sum()
+                (0..9).map(|i| mask[i] * self.values[corner + i / 3 * self.width + i % 3]).sum()
             })
         })
     }
@@ -129,11 +117,7 @@ mod tests {
         let mut image = Image::new(160, 120);
         for y in 0..120 {
             for x in 0..160 {
-                let value = if x / 20 % 2 == 0 {
-                    0.5 - contrast
-                } else {
-                    0.5 + contrast
-                };
+                let value = if x / 20 % 2 == 0 { 0.5 - contrast } else { 0.5 + contrast };
                 image.set(x, y, [value; 3]);
             }
         }
@@ -144,10 +128,7 @@ mod tests {
     fn the_added_noise_of_a_ramp_is_measured() {
         for sigma in [0.01, 0.05] {
             let found = noise_sigma(&noisy(sigma, 1));
-            assert!(
-                (found / f64::from(sigma) - 1.0).abs() < 0.03,
-                "{sigma} {found}"
-            );
+            assert!((found / f64::from(sigma) - 1.0).abs() < 0.03, "{sigma} {found}");
         }
         assert!(noise_sigma(&noisy(0.0, 1)) < 1e-6);
     }
@@ -156,10 +137,7 @@ mod tests {
     fn edges_are_sharp_and_noise_is_not() {
         let (edges, noise) = (sharpness(&stripes(0.3)), sharpness(&noisy(0.05, 2)));
         assert!(edges > 1000.0, "{edges}");
-        assert!(
-            noise < 0.03 * 20.0 * (0.05 * 255.0_f64).powi(2) + 50.0,
-            "{noise}"
-        );
+        assert!(noise < 0.03 * 20.0 * (0.05 * 255.0_f64).powi(2) + 50.0, "{noise}");
         assert!(sharpness(&stripes(0.1)) < edges);
     }
 

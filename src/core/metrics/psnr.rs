@@ -12,9 +12,7 @@ const LEAST_SQUARED_ERROR: f64 = 1e-10;
 /// When the sizes differ: a fault of the caller.
 pub fn psnr(image: &Image, reference: &Image) -> f64 {
     super::assert_same_size(image, reference);
-    let sum: f64 = (0..3)
-        .map(|c| squared_error(image.plane(c), reference.plane(c), |x| x))
-        .sum();
+    let sum: f64 = (0..3).map(|c| squared_error(image.plane(c), reference.plane(c), |x| x)).sum();
     decibels(sum / (3 * image.pixels()) as f64)
 }
 
@@ -49,9 +47,7 @@ impl ColourFit {
     /// When the sizes differ: a fault of the caller.
     pub fn between(image: &Image, reference: &Image) -> Self {
         super::assert_same_size(image, reference);
-        Self {
-            channels: std::array::from_fn(|c| affine_fit(image.plane(c), reference.plane(c))),
-        }
+        Self { channels: std::array::from_fn(|c| affine_fit(image.plane(c), reference.plane(c))) }
     }
 
     /// Maps an image, with clipping before and after.
@@ -87,11 +83,7 @@ fn clipped(value: f32) -> f64 {
 }
 
 fn squared_error(image: &[f32], reference: &[f32], map: impl Fn(f64) -> f64) -> f64 {
-    image
-        .iter()
-        .zip(reference)
-        .map(|(&x, &y)| (map(clipped(x)) - f64::from(y)).powi(2))
-        .sum()
+    image.iter().zip(reference).map(|(&x, &y)| (map(clipped(x)) - f64::from(y)).powi(2)).sum()
 }
 
 /// The `a` and `b` that minimise `sum (a x + b - y)^2` over clipped `x`; a constant `x` gives
@@ -106,11 +98,7 @@ fn affine_fit(image: &[f32], reference: &[f32]) -> (f64, f64) {
         covariance += centred * (f64::from(y) - mean_y);
         variance += centred * centred;
     }
-    let a = if variance / n > 1e-12 {
-        covariance / variance
-    } else {
-        0.0
-    };
+    let a = if variance / n > 1e-12 { covariance / variance } else { 0.0 };
     (a, mean_y - a * mean_x)
 }
 
@@ -119,9 +107,7 @@ mod tests {
     use super::*;
 
     fn ramp() -> Image {
-        let values = (0..3 * 12 * 8)
-            .map(|i| 0.2 + 0.5 * (i % 96) as f32 / 96.0)
-            .collect();
+        let values = (0..3 * 12 * 8).map(|i| 0.2 + 0.5 * (i % 96) as f32 / 96.0).collect();
         Image::from_planar(12, 8, values)
     }
 

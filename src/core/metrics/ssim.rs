@@ -129,9 +129,8 @@ mod tests {
 
     fn texture(phase: f32) -> Image {
         let (width, height) = (23, 17);
-        let values = (0..3 * width * height)
-            .map(|i| 0.5 + 0.4 * (i as f32 * 0.7 + phase).sin())
-            .collect();
+        let values =
+            (0..3 * width * height).map(|i| 0.5 + 0.4 * (i as f32 * 0.7 + phase).sin()).collect();
         Image::from_planar(width, height, values)
     }
 

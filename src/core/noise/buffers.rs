@@ -46,20 +46,13 @@ impl Buffers {
                 .collect::<Result<_, _>>()?,
             layers: layers
                 .map(|shape| {
-                    gpu.upload(
-                        "noise layer",
-                        &[LayerUniform::new(shape, segments, parameters)],
-                    )
+                    gpu.upload("noise layer", &[LayerUniform::new(shape, segments, parameters)])
                 })
                 .collect::<Result<_, _>>()?,
             adam: gpu.create("noise adam", 1)?,
             encoded: gpu.create("noise encoding", rows * network.layers[0].input_stride4)?,
-            outputs: (0..LAYERS)
-                .map(|l| output(l, rows, all_rows))
-                .collect::<Result<_, _>>()?,
-            deltas: (0..LAYERS)
-                .map(|l| output(l, rows, rows))
-                .collect::<Result<_, _>>()?,
+            outputs: (0..LAYERS).map(|l| output(l, rows, all_rows)).collect::<Result<_, _>>()?,
+            deltas: (0..LAYERS).map(|l| output(l, rows, rows)).collect::<Result<_, _>>()?,
             gradients: gpu.create("noise gradients", segments as usize * parameters)?,
             parameters: gpu.create("noise parameters", parameters)?,
             moments: gpu.create("noise moments", 2 * parameters)?,
@@ -67,10 +60,6 @@ impl Buffers {
     }
 
     pub(super) fn input(&self, layer: usize) -> &Buffer<[f32; 4]> {
-        if layer == 0 {
-            &self.encoded
-        } else {
-            &self.outputs[layer - 1]
-        }
+        if layer == 0 { &self.encoded } else { &self.outputs[layer - 1] }
     }
 }

@@ -23,10 +23,7 @@ pub struct Inspection {
 pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     let n = render.len() as f64;
     let map = || {
-        render
-            .iter()
-            .zip(prediction)
-            .map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)))
+        render.iter().zip(prediction).map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)))
     };
     let (mean_render, mean) = map().fold((0.0, 0.0), |sum, (r, m)| (sum.0 + r / n, sum.1 + m / n));
     let (mut covariance, mut variance_render, mut variance) = (0.0, 0.0, 0.0);
@@ -37,17 +34,9 @@ pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     }
     // Below a hundredth of an 8-bit step the map is empty, and its correlation is that of rounding.
     let something = variance > 1e-9 && variance_render > 1e-12;
-    let correlation = if something {
-        covariance / (variance * variance_render).sqrt()
-    } else {
-        0.0
-    };
+    let correlation =
+        if something { covariance / (variance * variance_render).sqrt() } else { 0.0 };
     let spread = variance.sqrt();
     let halved = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_GUARDED_SPREAD;
-    Inspection {
-        mean,
-        spread,
-        correlation,
-        halved,
-    }
+    Inspection { mean, spread, correlation, halved }
 }

@@ -11,44 +11,23 @@ use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
     "noise/encode",
-    &[
-        uniform("field"),
-        uniform("chunk"),
-        read_write("encoded"),
-        read_write("features"),
-    ],
+    &[uniform("field"), uniform("chunk"), read_write("encoded"), read_write("features")],
 );
 
-const LAYER_FORWARD_BINDINGS: &[Binding] = &[
-    uniform("layer"),
-    uniform("chunk"),
-    read("input"),
-    read("parameters"),
-    read_write("output"),
-];
+const LAYER_FORWARD_BINDINGS: &[Binding] =
+    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")];
 pub(super) const LAYER_FORWARD: Kernel = Kernel::new("noise/layer_forward", LAYER_FORWARD_BINDINGS);
 pub(super) const LAYER_FORWARD_SUBGROUP: Kernel =
     Kernel::new("noise/layer_forward_subgroup", LAYER_FORWARD_BINDINGS);
 
 pub(super) const COMPOSE: Kernel = Kernel::new(
     "noise/compose",
-    &[
-        uniform("field"),
-        read("raw"),
-        read("render"),
-        read_write("prediction"),
-    ],
+    &[uniform("field"), read("raw"), read("render"), read_write("prediction")],
 );
 
 pub(super) const OUTPUT_DELTA: Kernel = Kernel::new(
     "noise/output_delta",
-    &[
-        uniform("field"),
-        uniform("chunk"),
-        read("raw"),
-        read("gradient"),
-        read_write("delta"),
-    ],
+    &[uniform("field"), uniform("chunk"), read("raw"), read("gradient"), read_write("delta")],
 );
 
 const LAYER_BACKWARD_BINDINGS: &[Binding] = &[
@@ -64,13 +43,8 @@ pub(super) const LAYER_BACKWARD: Kernel =
 pub(super) const LAYER_BACKWARD_SUBGROUP: Kernel =
     Kernel::new("noise/layer_backward_subgroup", LAYER_BACKWARD_BINDINGS);
 
-const LAYER_WEIGHTS_BINDINGS: &[Binding] = &[
-    uniform("layer"),
-    uniform("chunk"),
-    read("delta"),
-    read("input"),
-    read_write("gradients"),
-];
+const LAYER_WEIGHTS_BINDINGS: &[Binding] =
+    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")];
 pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new("noise/layer_weights", LAYER_WEIGHTS_BINDINGS);
 pub(super) const LAYER_WEIGHTS_SUBGROUP: Kernel =
     Kernel::new("noise/layer_weights_subgroup", LAYER_WEIGHTS_BINDINGS);
@@ -135,11 +109,7 @@ pub(super) struct ChunkUniform {
 
 impl ChunkUniform {
     pub(super) fn new(pixels: &Range<usize>) -> Self {
-        Self {
-            first: pixels.start as u32,
-            count: pixels.len() as u32,
-            padding: [0; 2],
-        }
+        Self { first: pixels.start as u32, count: pixels.len() as u32, padding: [0; 2] }
     }
 }
 

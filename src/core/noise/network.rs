@@ -77,11 +77,7 @@ impl Network {
                 inputs4,
                 outputs4,
                 input_stride4: inputs4,
-                output_stride4: if i == FEATURE_LAYER {
-                    features.div_ceil(4)
-                } else {
-                    outputs4
-                },
+                output_stride4: if i == FEATURE_LAYER { features.div_ceil(4) } else { outputs4 },
                 weights4,
                 biases4,
                 relu: i != FEATURE_LAYER && i != LAYERS - 1,
@@ -89,16 +85,12 @@ impl Network {
                 whole: i == LAYERS - 1,
             }
         });
-        Self {
-            layers: layers.collect(),
-        }
+        Self { layers: layers.collect() }
     }
 
     /// Number of vec4s of all parameters.
     pub(super) fn parameters(&self) -> usize {
-        self.layers
-            .last()
-            .map_or(0, |last| last.biases4 + last.outputs4)
+        self.layers.last().map_or(0, |last| last.biases4 + last.outputs4)
     }
 
     /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters].
@@ -126,11 +118,7 @@ mod tests {
     fn the_papers_network_has_84_419_separate_parameters() {
         let network = Network::new();
         assert_eq!(
-            network
-                .layers
-                .iter()
-                .map(|l| (l.inputs + 1) * l.outputs)
-                .sum::<usize>(),
+            network.layers.iter().map(|l| (l.inputs + 1) * l.outputs).sum::<usize>(),
             84_419
         );
         let filled = network.initial(3).iter().filter(|&&p| p != 0.0).count();

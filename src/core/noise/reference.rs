@@ -24,11 +24,7 @@ struct Pixel {
 impl<'a> ReferenceNoise<'a> {
     /// `parameters` in the layout of the buffers.
     pub fn new(parameters: &'a [f64], camera: &'a Camera) -> Self {
-        Self {
-            network: Network::new(),
-            parameters,
-            camera,
-        }
+        Self { network: Network::new(), parameters, camera }
     }
 
     fn pixels(&self) -> usize {
@@ -37,12 +33,9 @@ impl<'a> ReferenceNoise<'a> {
 
     /// The noise of every pixel, [3, H, W].
     pub fn map(&self) -> Vec<f64> {
-        let noise: Vec<_> = (0..self.pixels())
-            .map(|pixel| noise(self.forward(pixel).raw))
-            .collect();
-        (0..3)
-            .flat_map(|channel| noise.iter().map(move |n| n[channel]))
-            .collect()
+        let noise: Vec<_> =
+            (0..self.pixels()).map(|pixel| noise(self.forward(pixel).raw)).collect();
+        (0..3).flat_map(|channel| noise.iter().map(move |n| n[channel])).collect()
     }
 
     /// Derivative of `sum gradient * map` by every parameter.
@@ -79,10 +72,7 @@ impl<'a> ReferenceNoise<'a> {
             inputs.push(output);
         }
         let raw = inputs.pop().expect("the last layer's output");
-        Pixel {
-            inputs,
-            raw: [raw[0], raw[1], raw[2]],
-        }
+        Pixel { inputs, raw: [raw[0], raw[1], raw[2]] }
     }
 
     /// Adds the derivative by every parameter, given that by one pixel's raw output.
@@ -97,14 +87,10 @@ impl<'a> ReferenceNoise<'a> {
                 }
             }
             let by_input = |k: usize| -> f64 {
-                (0..layer.outputs)
-                    .map(|m| delta[m] * self.parameters[layer.weight(k, m)])
-                    .sum()
+                (0..layer.outputs).map(|m| delta[m] * self.parameters[layer.weight(k, m)]).sum()
             };
             let open = |k: usize| !layer.input_relu || input[k] > 0.0;
-            delta = (0..layer.inputs)
-                .map(|k| if open(k) { by_input(k) } else { 0.0 })
-                .collect();
+            delta = (0..layer.inputs).map(|k| if open(k) { by_input(k) } else { 0.0 }).collect();
         }
     }
 
@@ -115,16 +101,10 @@ impl<'a> ReferenceNoise<'a> {
         let u = (index % k.width) as f64 + 0.5;
         let v = (index / k.width) as f64 + 0.5;
         let (width, height) = (k.width as f64, k.height as f64);
-        let position = DVec3::new(
-            2.0 * u / width - 1.0,
-            2.0 * v / height - 1.0,
-            2.0 * 16.0 / 63.0 - 1.0,
-        );
+        let position =
+            DVec3::new(2.0 * u / width - 1.0, 2.0 * v / height - 1.0, 2.0 * 16.0 / 63.0 - 1.0);
         let ray = DVec3::new((u - k.cx) / k.fx, (v - k.cy) / k.fy, 1.0);
-        (
-            position,
-            (self.camera.rotation().transpose() * ray).normalize(),
-        )
+        (position, (self.camera.rotation().transpose() * ray).normalize())
     }
 }
 
@@ -161,22 +141,13 @@ mod tests {
         let weights: Vec<f64> = (0..3 * 4 * 3).map(|i| (0.7 * i as f64).sin()).collect();
         let gradient = ReferenceNoise::new(&parameters, &camera).gradient(&weights);
         for layer in &network.layers {
-            for index in [
-                layer.weight(1, 2),
-                layer.weight(layer.inputs - 1, 0),
-                layer.bias(1),
-            ] {
+            for index in [layer.weight(1, 2), layer.weight(layer.inputs - 1, 0), layer.bias(1)] {
                 let at = parameters[index];
-                assert_derivative(
-                    &format!("parameter {index}"),
-                    gradient[index],
-                    at,
-                    |value| {
-                        parameters[index] = value;
-                        let map = ReferenceNoise::new(&parameters, &camera).map();
-                        map.iter().zip(&weights).map(|(n, w)| n * w).sum()
-                    },
-                );
+                assert_derivative(&format!("parameter {index}"), gradient[index], at, |value| {
+                    parameters[index] = value;
+                    let map = ReferenceNoise::new(&parameters, &camera).map();
+                    map.iter().zip(&weights).map(|(n, w)| n * w).sum()
+                });
                 parameters[index] = at;
             }
         }

@@ -49,9 +49,7 @@ impl NoiseField {
             return Err(StateError::Format("another version"));
         }
         let (values, moments) = numbers.split_at(parameters);
-        self.buffers
-            .parameters
-            .write(bytemuck::cast_slice(values))?;
+        self.buffers.parameters.write(bytemuck::cast_slice(values))?;
         self.buffers.moments.write(bytemuck::cast_slice(moments))?;
         self.step = step as u64;
         self.restraint = restraint;

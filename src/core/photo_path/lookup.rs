@@ -17,11 +17,7 @@ pub struct Tie {
 
 fn told(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
     let all = |paths: &[PhotoPath]| {
-        let shown: Vec<_> = paths
-            .iter()
-            .take(3)
-            .map(|path| format!("`{path}`"))
-            .collect();
+        let shown: Vec<_> = paths.iter().take(3).map(|path| format!("`{path}`")).collect();
         let more = if paths.len() > 3 { " and others" } else { "" };
         format!("{}{more}", shown.join(" and "))
     };
@@ -230,10 +226,7 @@ impl<'a> Lookup<'a> {
 
 /// The path without this many last parts.
 fn before(path: &PhotoPath, parts: usize) -> &str {
-    let cut = path
-        .as_str()
-        .rmatch_indices('/')
-        .nth(parts.saturating_sub(1));
+    let cut = path.as_str().rmatch_indices('/').nth(parts.saturating_sub(1));
     cut.map_or("", |(at, _)| &path.as_str()[..at])
 }
 
@@ -256,11 +249,7 @@ fn key(path: &PhotoPath, leave_out_extension: bool, fold: bool, parts: usize) ->
         };
         key = &kept[start..];
     }
-    Some(if fold {
-        key.to_lowercase()
-    } else {
-        key.to_owned()
-    })
+    Some(if fold { key.to_lowercase() } else { key.to_owned() })
 }
 
 /// Whether what stands behind a dot is an extension and not a part of a number.

@@ -22,31 +22,18 @@ fn a_path_is_the_same_however_systems_write_it() {
         assert_eq!(PhotoPath::new(written).as_str(), path, "{written}");
     }
     let path = PhotoPath::new("a.b/c.d.jpg");
-    assert_eq!(
-        (path.folder(), path.name(), path.stem()),
-        ("a.b", "c.d.jpg", "a.b/c.d")
-    );
+    assert_eq!((path.folder(), path.name(), path.stem()), ("a.b", "c.d.jpg", "a.b/c.d"));
     assert_eq!(PhotoPath::new("a.b/c").stem(), "a.b/c");
 }
 
 #[test]
 fn the_whole_path_wins_and_what_it_leaves_gets_nothing() {
-    let photographs = [
-        "cam0/0.jpg",
-        "cam1/0.jpg",
-        "DSC 0.jpg",
-        "DSC_0.jpg",
-        "a.jpg",
-        "a.png",
-    ];
+    let photographs = ["cam0/0.jpg", "cam1/0.jpg", "DSC 0.jpg", "DSC_0.jpg", "a.jpg", "a.png"];
     let names = ["DSC_0.jpg", "cam1/0.jpg", "a.png"];
     let expected = vec![None, Some(1), None, Some(0), None, Some(2)];
     assert_eq!(found(&names, &photographs), Ok(expected));
     // Neighbours in number are not each other.
-    assert_eq!(
-        found(&["00002.jpg"], &["00001.jpg", "00003.jpg"]),
-        Ok(vec![None, None])
-    );
+    assert_eq!(found(&["00002.jpg"], &["00001.jpg", "00003.jpg"]), Ok(vec![None, None]));
 }
 
 #[test]
@@ -63,18 +50,11 @@ fn folders_extensions_and_case_may_differ_where_one_photograph_is_left() {
         ("\u{c9}.jpg", "e\u{301}.jpg"),
     ] {
         let photographs = [photograph, "another/photograph.jpg"];
-        assert_eq!(
-            found(&[name], &photographs),
-            Ok(vec![Some(0), None]),
-            "{name}"
-        );
+        assert_eq!(found(&[name], &photographs), Ok(vec![Some(0), None]), "{name}");
     }
     // Where folders agree elsewhere, another folder is another photograph's.
     let names = ["cam0/0.jpg", "cam0/1.jpg"];
-    assert_eq!(
-        found(&names, &["cam0/0.jpg", "cam1/1.jpg"]),
-        Ok(vec![Some(0), None])
-    );
+    assert_eq!(found(&names, &["cam0/0.jpg", "cam1/1.jpg"]), Ok(vec![Some(0), None]));
     // A number behind a dot is no extension.
     assert_eq!(found(&["r_0.5"], &["r_0.25.png"]), Ok(vec![None]));
 }
@@ -83,32 +63,12 @@ fn folders_extensions_and_case_may_differ_where_one_photograph_is_left() {
 fn a_folder_is_left_out_as_elsewhere_or_where_a_name_is_alone() {
     for (names, photographs, right) in [
         // The second camera's photographs are not there; what is called like one is another.
-        (
-            ["cam0/3.jpg", "cam1/3.jpg"],
-            ["cam0/3.jpg", "3.jpg"],
-            [Some(0), None],
-        ),
-        (
-            ["cam0/3.jpg", "3.jpg"],
-            ["cam0/3.jpg", "cam1/3.jpg"],
-            [Some(0), None],
-        ),
-        (
-            ["images/a/0.jpg", "images/0.jpg"],
-            ["a/0.jpg", "0.jpg"],
-            [Some(0), Some(1)],
-        ),
-        (
-            ["0.jpg", "cam0/6.jpg"],
-            ["0.jpg", "6.jpg"],
-            [Some(0), Some(1)],
-        ),
+        (["cam0/3.jpg", "cam1/3.jpg"], ["cam0/3.jpg", "3.jpg"], [Some(0), None]),
+        (["cam0/3.jpg", "3.jpg"], ["cam0/3.jpg", "cam1/3.jpg"], [Some(0), None]),
+        (["images/a/0.jpg", "images/0.jpg"], ["a/0.jpg", "0.jpg"], [Some(0), Some(1)]),
+        (["0.jpg", "cam0/6.jpg"], ["0.jpg", "6.jpg"], [Some(0), Some(1)]),
         // Case differs more often than the format.
-        (
-            ["IMG_1.jpg", "IMG_2.png"],
-            ["IMG_1.JPG", "IMG_1.PNG"],
-            [Some(0), None],
-        ),
+        (["IMG_1.jpg", "IMG_2.png"], ["IMG_1.JPG", "IMG_1.PNG"], [Some(0), None]),
     ] {
         assert_eq!(found(&names, &photographs), Ok(right.to_vec()), "{names:?}");
     }
@@ -129,28 +89,12 @@ fn names_in_other_encodings_stay_apart_and_whole() {
 #[test]
 fn a_tie_names_both() {
     for (names, photographs, told) in [
-        (
-            &["0.jpg"][..],
-            &["cam0/0.jpg", "cam1/0.jpg"][..],
-            "`cam0/0.jpg` and `cam1/0.jpg`",
-        ),
-        (
-            &["cam0/0.jpg", "cam1/0.jpg"],
-            &["0.jpg"],
-            "`cam0/0.jpg` and `cam1/0.jpg` may all be `0",
-        ),
+        (&["0.jpg"][..], &["cam0/0.jpg", "cam1/0.jpg"][..], "`cam0/0.jpg` and `cam1/0.jpg`"),
+        (&["cam0/0.jpg", "cam1/0.jpg"], &["0.jpg"], "`cam0/0.jpg` and `cam1/0.jpg` may all be `0"),
         (&["a"], &["a.jpg", "a.png"], "`a.jpg` and `a.png`"),
         (&["A.JPG"], &["a.jpg", "a.JPG"], "`a.jpg` and `a.JPG`"),
-        (
-            &["a.jpg"],
-            &["a.jpg", "a.jpg"],
-            "any of 2 photographs of this name",
-        ),
-        (
-            &["a.jpg", "a.jpg"],
-            &["a.jpg"],
-            "`a.jpg` has 2 different poses",
-        ),
+        (&["a.jpg"], &["a.jpg", "a.jpg"], "any of 2 photographs of this name"),
+        (&["a.jpg", "a.jpg"], &["a.jpg"], "`a.jpg` has 2 different poses"),
     ] {
         let error = found(names, photographs).expect_err("a tie");
         assert!(error.contains(told), "{error}");

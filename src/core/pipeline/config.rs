@@ -192,11 +192,7 @@ impl Preset {
             adapter: "auto".to_owned(),
         };
         match self {
-            Self::Preview => Options {
-                size: 280,
-                cap: 10_000,
-                ..standard
-            },
+            Self::Preview => Options { size: 280, cap: 10_000, ..standard },
             Self::Standard => standard,
             Self::Paper => Options {
                 target: "auto-paper".to_owned(),
@@ -247,13 +243,10 @@ impl FromStr for Preset {
     type Err = OptionsError;
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
-        Self::ALL
-            .into_iter()
-            .find(|preset| preset.name() == name)
-            .ok_or_else(|| OptionsError {
-                key: "preset".to_owned(),
-                message: format!("`{name}` is not a preset; choose preview, standard or paper"),
-            })
+        Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| OptionsError {
+            key: "preset".to_owned(),
+            message: format!("`{name}` is not a preset; choose preview, standard or paper"),
+        })
     }
 }
 
@@ -330,9 +323,7 @@ impl Options {
         let mut current = self.clone();
         for (key, value) in overrides {
             let mut object = serde_json::to_value(&current).map_err(|e| fault(key, &e))?;
-            let fields = object
-                .as_object_mut()
-                .ok_or_else(|| fault(key, &"not an object"))?;
+            let fields = object.as_object_mut().ok_or_else(|| fault(key, &"not an object"))?;
             if !fields.contains_key(key) {
                 let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
                 return Err(fault(key, &format!("unknown; known options are {known}")));
@@ -360,9 +351,8 @@ impl Options {
     /// # Errors
     /// [`OptionsError`] naming the key.
     pub fn with_assignment(&self, assignment: &str) -> Result<Self, OptionsError> {
-        let (key, text) = assignment
-            .split_once('=')
-            .ok_or_else(|| fault(assignment, &"expected key=value"))?;
+        let (key, text) =
+            assignment.split_once('=').ok_or_else(|| fault(assignment, &"expected key=value"))?;
         let attempt =
             |value| self.with_overrides(&serde_json::Map::from_iter([(key.to_owned(), value)]));
         let as_string = attempt(serde_json::Value::String(text.to_owned()));
@@ -376,10 +366,7 @@ impl Options {
     pub fn networks(&self) -> [NetworkOption<'_>; 2] {
         use NetworkChoice::{Curve, Identity};
         let option = |key, choice, words| NetworkOption { key, choice, words };
-        [
-            option("deblur", &self.deblur, &[Identity]),
-            option("enhance", &self.enhance, &[Curve]),
-        ]
+        [option("deblur", &self.deblur, &[Identity]), option("enhance", &self.enhance, &[Curve])]
     }
 
     fn check(&self) -> Result<(), OptionsError> {
@@ -405,10 +392,7 @@ fn within(key: &str, value: u32, low: u32, high: u32) -> Result<(), OptionsError
 }
 
 fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {
-    OptionsError {
-        key: key.to_owned(),
-        message: message.to_string(),
-    }
+    OptionsError { key: key.to_owned(), message: message.to_string() }
 }
 
 #[cfg(test)]

@@ -58,17 +58,9 @@ impl<'a> Context<'a> {
         sink: &'a mut dyn ProgressSink,
         cancel: &'a CancelToken,
     ) -> Self {
-        let clock = Clock {
-            started: Instant::now(),
-            stages: BTreeMap::new(),
-            rounds: BTreeMap::new(),
-        };
-        Self {
-            workspace,
-            sink,
-            cancel,
-            clock,
-        }
+        let clock =
+            Clock { started: Instant::now(), stages: BTreeMap::new(), rounds: BTreeMap::new() };
+        Self { workspace, sink, cancel, clock }
     }
 
     /// The only rule of resuming: what `make` leaves in the workspace serves until something that
@@ -98,8 +90,7 @@ impl<'a> Context<'a> {
         let started = Instant::now();
         let value = self.stage(stage, round, make)?;
         let seconds = started.elapsed().as_secs_f64();
-        self.workspace
-            .stamp(&name, depends_on.fingerprint(), seconds)?;
+        self.workspace.stamp(&name, depends_on.fingerprint(), seconds)?;
         Ok(value)
     }
 
@@ -123,21 +114,12 @@ impl<'a> Context<'a> {
 
     fn end_stage(&mut self, stage: Stage, round: u32, seconds: f64, skipped: bool) {
         self.clock.add(stage, round, seconds);
-        self.sink.event(&Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        });
+        self.sink.event(&Event::StageFinished { stage, round, seconds, skipped });
     }
 
     /// Tells how far a stage of countable units is.
     pub fn advance(&mut self, stage: Stage, round: u32, progress: Advance) {
-        let Advance {
-            done,
-            total,
-            per_second,
-        } = progress;
+        let Advance { done, total, per_second } = progress;
         self.sink.event(&Event::StageAdvanced {
             stage,
             round,
@@ -162,11 +144,7 @@ pub struct Advance {
 impl Advance {
     /// `done` of `total` views.
     pub fn views(done: usize, total: usize) -> Self {
-        Self {
-            done: done as u64,
-            total: total as u64,
-            per_second: None,
-        }
+        Self { done: done as u64, total: total as u64, per_second: None }
     }
 }
 
@@ -207,14 +185,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("temporary folder");
         let workspace = Workspace::open(folder.path()).expect("open");
         let (small, mut made) = (Options::default(), 0);
-        let large = Options {
-            cap: 2 * small.cap,
-            ..small.clone()
-        };
-        let slower = Options {
-            steps: 2 * small.steps,
-            ..small.clone()
-        };
+        let large = Options { cap: 2 * small.cap, ..small.clone() };
+        let slower = Options { steps: 2 * small.steps, ..small.clone() };
         assert_eq!(ask(&workspace, &small, true, &mut made), small.cap);
         assert_eq!(ask(&workspace, &slower, true, &mut made), small.cap);
         assert_eq!(made, 1, "the number of steps is none of its options");

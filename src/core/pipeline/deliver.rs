@@ -55,17 +55,12 @@ pub fn deliver(
     let workspace = context.workspace;
     let best = workspace.folder().round(report.best_round);
     let at_target = best.scene_at_target();
-    let scene = if at_target.exists() {
-        at_target
-    } else {
-        best.scene()
-    };
+    let scene = if at_target.exists() { at_target } else { best.scene() };
     // The cameras are those of that round, too: a later round has moved them a little, and may have
     // other views.
-    for (from, to) in [
-        (scene, workspace.folder().scene()),
-        (best.cameras(), workspace.folder().cameras()),
-    ] {
+    for (from, to) in
+        [(scene, workspace.folder().scene()), (best.cameras(), workspace.folder().cameras())]
+    {
         let bytes = fs::read(&from).map_err(|e| PipelineError::io(&from, e))?;
         workspace.write(&to, &bytes)?;
     }
@@ -76,8 +71,5 @@ pub fn deliver(
 }
 
 fn tell_finished(context: &mut Context<'_>, report: &Report, seconds: f64) {
-    context.sink.event(&Event::Finished {
-        best_round: report.best_round,
-        seconds,
-    });
+    context.sink.event(&Event::Finished { best_round: report.best_round, seconds });
 }

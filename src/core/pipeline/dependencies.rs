@@ -61,10 +61,7 @@ impl Dependencies {
         let named = names.join(" ");
         let values = json(&options);
         let fingerprint = fingerprint(&[&[named.as_str(), values.as_str()], facts].concat());
-        Self {
-            options,
-            fingerprint,
-        }
+        Self { options, fingerprint }
     }
 
     /// The options that the stage may read; all others have their defaults.
@@ -136,14 +133,7 @@ impl RunDependencies {
         let brightener = networks.enhance.as_ref().map(of_network);
         let facts = [views.fingerprint(), &brightener.unwrap_or_default()];
         let enhance = Dependencies::on(options, ENHANCE, &facts);
-        Self {
-            levels: Levels::Rising,
-            given: options.clone(),
-            networks,
-            adapter,
-            views,
-            enhance,
-        }
+        Self { levels: Levels::Rising, given: options.clone(), networks, adapter, views, enhance }
     }
 
     /// Changes the brightness of the rounds.
@@ -152,11 +142,7 @@ impl RunDependencies {
             return self;
         }
         let facts = [self.enhance.fingerprint(), "at the target"];
-        Self {
-            levels,
-            enhance: Dependencies::on(&self.given, ENHANCE, &facts),
-            ..self
-        }
+        Self { levels, enhance: Dependencies::on(&self.given, ENHANCE, &facts), ..self }
     }
 
     pub fn levels(&self) -> Levels {
@@ -188,22 +174,13 @@ impl RunDependencies {
                 Dependencies::on(&self.given, DEBLUR, &facts)
             }
         };
-        let images = if self.given.needs_no_network() {
-            &self.enhance
-        } else {
-            &deblur
-        };
+        let images = if self.given.needs_no_network() { &self.enhance } else { &deblur };
         let before = before.map_or("", |before| before.reconstruct.fingerprint());
         let facts = [images.fingerprint(), &self.adapter, &number, before];
         let reconstruct = Dependencies::on(&self.given, RECONSTRUCT, &facts);
         let facts = [self.enhance.fingerprint(), reconstruct.fingerprint()];
         let matching = Dependencies::on(&self.given, MATCH, &facts);
-        RoundDependencies {
-            is_guided: guided_by.is_some(),
-            deblur,
-            reconstruct,
-            matching,
-        }
+        RoundDependencies { is_guided: guided_by.is_some(), deblur, reconstruct, matching }
     }
 
     /// Dependencies of the whole result. Options that the run itself does not read act through its

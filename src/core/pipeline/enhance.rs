@@ -83,11 +83,7 @@ pub fn plan(
     let last = rounds.last().expect("options ask for a round or more");
     let is_by_network = by_network.is_some();
     let target = by_network.unwrap_or_else(|| last.tone.apply(dark));
-    Ok(Brightening {
-        rounds,
-        target: target.into(),
-        by_network: is_by_network,
-    })
+    Ok(Brightening { rounds, target: target.into(), by_network: is_by_network })
 }
 
 /// P_N: the option `target` resolved for these dark views.
@@ -96,10 +92,8 @@ pub fn plan(
 /// [`OptionsError`] when it names no brightness.
 pub fn target(options: &Options, dark: &[&Image]) -> Result<Anchor, OptionsError> {
     let pooled = Histogram::pooled(dark.iter().copied());
-    enhance::resolve_target(&options.target, &pooled).map_err(|error| OptionsError {
-        key: "target".to_owned(),
-        message: error.to_string(),
-    })
+    enhance::resolve_target(&options.target, &pooled)
+        .map_err(|error| OptionsError { key: "target".to_owned(), message: error.to_string() })
 }
 
 /// Every dark view through the enhancing network, if there is one: a stage before the rounds.
@@ -121,9 +115,7 @@ fn by_network(
         images: &dark,
         guides: None,
     };
-    restoration
-        .by(network, context, dependencies.enhance())
-        .map(Some)
+    restoration.by(network, context, dependencies.enhance()).map(Some)
 }
 
 /// The curve nearest to a network's result for the dark views.
@@ -133,17 +125,9 @@ fn nearest(
     dark: &[&Image],
     images: &[Image],
 ) -> Anchor {
-    let fitted = tone::search(
-        options.lut_scope,
-        Anchor::exposure(0.0),
-        options.seed,
-        dark,
-        images,
-    );
+    let fitted = tone::search(options.lut_scope, Anchor::exposure(0.0), options.seed, dark, images);
     let anchor = Anchor::mean(&fitted);
-    context.sink.log(format!(
-        "the exposure nearest to the network's brightening: {anchor}"
-    ));
+    context.sink.log(format!("the exposure nearest to the network's brightening: {anchor}"));
     anchor
 }
 

@@ -108,10 +108,7 @@ impl ErrorKind {
 
     /// Whether a retry without changes can succeed.
     pub fn retryable(self) -> bool {
-        !matches!(
-            self,
-            Self::BadInput | Self::FewPoses | Self::Environment | Self::Cancelled
-        )
+        !matches!(self, Self::BadInput | Self::FewPoses | Self::Environment | Self::Cancelled)
     }
 }
 
@@ -167,10 +164,7 @@ pub enum PipelineError {
 
 impl PipelineError {
     pub fn io(path: &Path, source: io::Error) -> Self {
-        Self::Io {
-            path: path.to_owned(),
-            source,
-        }
+        Self::Io { path: path.to_owned(), source }
     }
 
     pub fn kind(&self) -> ErrorKind {

@@ -118,15 +118,7 @@ fn measure(
     brightening: &Brightening,
     previous: Option<&RoundMetrics>,
 ) -> RoundMetrics {
-    let Finished {
-        round,
-        views,
-        unregistered,
-        images,
-        scene,
-        next,
-        ..
-    } = finished;
+    let Finished { round, views, unregistered, images, scene, next, .. } = finished;
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
     let response = &brightening.last().response;
@@ -167,23 +159,13 @@ fn means(
     images: &RoundImages<'_>,
     measure: impl Fn(&Image) -> f64 + Sync + Send + Copy,
 ) -> BTreeMap<String, f64> {
-    [
-        ("enhanced", images.enhanced),
-        ("deblurred", images.deblurred),
-        ("render", images.renders),
-    ]
-    .into_iter()
-    .map(|(name, set)| (name.to_owned(), mean(set, measure)))
-    .collect()
+    [("enhanced", images.enhanced), ("deblurred", images.deblurred), ("render", images.renders)]
+        .into_iter()
+        .map(|(name, set)| (name.to_owned(), mean(set, measure)))
+        .collect()
 }
 
 /// Mean of a measure over images.
 fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
-    images
-        .par_iter()
-        .map(measure)
-        .collect::<Vec<_>>()
-        .iter()
-        .sum::<f64>()
-        / images.len() as f64
+    images.par_iter().map(measure).collect::<Vec<_>>().iter().sum::<f64>() / images.len() as f64
 }

@@ -25,10 +25,7 @@ pub fn explained(
         None => shaken
             .is_some_and(|shaken| shaken.verdict() == CaptureShake::Still && shaken.tells(view)),
     };
-    views
-        .iter()
-        .map(|view| options.shake.explains(tells(view)))
-        .collect()
+    views.iter().map(|view| options.shake.explains(tells(view))).collect()
 }
 
 /// The image on which a view trains.
@@ -136,23 +133,14 @@ mod tests {
     }
 
     fn along_x(image: &Image) -> Image {
-        let tap = |x| Tap {
-            offset: [x, 0],
-            weight: 1.0 / 9.0,
-        };
+        let tap = |x| Tap { offset: [x, 0], weight: 1.0 / 9.0 };
         let kernel = ShakeKernel::new((-4..=4).map(tap).collect());
         shaken_image(image, &kernel, &Response::srgb())
     }
 
     fn view(name: &str) -> View {
-        let intrinsics = Intrinsics {
-            width: 200,
-            height: 160,
-            fx: 200.0,
-            fy: 200.0,
-            cx: 100.0,
-            cy: 80.0,
-        };
+        let intrinsics =
+            Intrinsics { width: 200, height: 160, fx: 200.0, fy: 200.0, cx: 100.0, cy: 80.0 };
         View {
             name: name.to_owned(),
             camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
@@ -173,11 +161,7 @@ mod tests {
         };
         let first = |names: &[&str]| explained(&options, &views, Some(&told(names)), None);
         assert_eq!(first(&["b"]), [false, true, false]);
-        assert_eq!(
-            first(&["a", "b"]),
-            [false; 3],
-            "no sharp scene to find them in"
-        );
+        assert_eq!(first(&["a", "b"]), [false; 3], "no sharp scene to find them in");
         let score = |name: &str, is_shaken| ViewScore {
             name: name.to_owned(),
             registered: true,
@@ -208,10 +192,7 @@ mod tests {
         let auto = Options::default();
         assert_eq!(of(&auto, [false, false]), [Deblurred, Mean]);
         assert_eq!(of(&auto, [true, true]), [Enhanced, Enhanced]);
-        let paper = Options {
-            train_on: TrainOn::Deblurred,
-            ..auto
-        };
+        let paper = Options { train_on: TrainOn::Deblurred, ..auto };
         assert_eq!(of(&paper, [false, true]), [Deblurred, Deblurred]);
     }
 

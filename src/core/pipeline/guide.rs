@@ -26,24 +26,16 @@ const DISAGREEMENT: f32 = 0.04;
 const SHARE: f32 = 0.7;
 
 pub fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
-    views
-        .par_iter()
-        .zip(renders)
-        .map(|(view, render)| guide(view, render, SHARE))
-        .collect()
+    views.par_iter().zip(renders).map(|(view, render)| guide(view, render, SHARE)).collect()
 }
 
 fn guide(view: &Image, render: &Image, share: f32) -> Image {
     let (width, height) = (view.width(), view.height());
     let cells = (width.div_ceil(CELL), height.div_ceil(CELL));
-    let (coarse_view, coarse_render) = (
-        view.resize_area(cells.0, cells.1),
-        render.resize_area(cells.0, cells.1),
-    );
-    let (mut trust, mut difference) = (
-        Image::<Srgb>::new(cells.0, cells.1),
-        Image::<Srgb>::new(cells.0, cells.1),
-    );
+    let (coarse_view, coarse_render) =
+        (view.resize_area(cells.0, cells.1), render.resize_area(cells.0, cells.1));
+    let (mut trust, mut difference) =
+        (Image::<Srgb>::new(cells.0, cells.1), Image::<Srgb>::new(cells.0, cells.1));
     for y in 0..cells.1 {
         for x in 0..cells.0 {
             let (a, b) = (coarse_view.get(x, y), coarse_render.get(x, y));
@@ -53,18 +45,14 @@ fn guide(view: &Image, render: &Image, share: f32) -> Image {
             difference.set(x, y, apart);
         }
     }
-    let (trust, difference) = (
-        trust.resize_bilinear(width, height),
-        difference.resize_bilinear(width, height),
-    );
+    let (trust, difference) =
+        (trust.resize_bilinear(width, height), difference.resize_bilinear(width, height));
     let weights = trust.data().iter().zip(difference.data());
     let mixed = view.data().iter().zip(render.data()).zip(weights);
     Image::from_planar(
         width,
         height,
-        mixed
-            .map(|((v, r), (t, d))| (v + share * t * (r + d - v)).clamp(0.0, 1.0))
-            .collect(),
+        mixed.map(|((v, r), (t, d))| (v + share * t * (r + d - v)).clamp(0.0, 1.0)).collect(),
     )
 }
 
@@ -87,23 +75,13 @@ mod tests {
         }
         let guide = trusted(std::slice::from_ref(&view), std::slice::from_ref(&render)).remove(0);
         let wrong = guide.get(4, 16)[2];
-        assert!(
-            (wrong - 0.5).abs() < 0.01,
-            "the wrong half must be the view: {wrong}"
-        );
+        assert!((wrong - 0.5).abs() < 0.01, "the wrong half must be the view: {wrong}");
         // A stripe is 0.01 above its cell, which is 0.02 above the view's: its weight is exp(-1/4).
         let detail = SHARE * 0.00779;
-        for (y, expected) in [
-            (6, 0.5),
-            (18, 0.5 + detail),
-            (19, 0.5 - detail),
-            (20, 0.5 + detail),
-        ] {
+        for (y, expected) in [(6, 0.5), (18, 0.5 + detail), (19, 0.5 - detail), (20, 0.5 + detail)]
+        {
             let found = guide.get(60, y)[0];
-            assert!(
-                (found - expected).abs() < 1e-4,
-                "{found} at {y}, not {expected}"
-            );
+            assert!((found - expected).abs() < 1e-4, "{found} at {y}, not {expected}");
         }
     }
 
@@ -123,27 +101,17 @@ mod tests {
             for (x, y) in (0..37 * 26).map(|i| (i % 37, i / 37)) {
                 let wave =
                     |c: f32| 0.1 + height * (0.7 * x as f32 + 0.3 * y as f32 + c + phase).sin();
-                image.set(
-                    x,
-                    y,
-                    [wave(0.0), wave(1.0), wave(2.0)].map(|v| v.clamp(0.0, 1.0)),
-                );
+                image.set(x, y, [wave(0.0), wave(1.0), wave(2.0)].map(|v| v.clamp(0.0, 1.0)));
             }
             image
         };
         let guide = guide(&waves(0.1, 0.0), &waves(0.12, 0.4), 1.0);
         for (x, y, expected) in GUIDES {
             let found = guide.get(x, y);
-            let apart = found
-                .iter()
-                .zip(expected)
-                .map(|(a, b)| (a - b).abs())
-                .fold(0.0, f32::max);
+            let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(apart < 1e-4, "{found:?} at ({x}, {y}), not {expected:?}");
         }
-        let fed = trusted(&[waves(0.1, 0.0)], &[waves(0.12, 0.4)])
-            .remove(0)
-            .get(3, 1);
+        let fed = trusted(&[waves(0.1, 0.0)], &[waves(0.12, 0.4)]).remove(0).get(3, 1);
         let apart = fed
             .iter()
             .zip([0.15408, 0.05293, 0.00392])
@@ -153,10 +121,7 @@ mod tests {
         assert!(guide.data().iter().all(|value| (0.0..=1.0).contains(value)));
         assert!(guide.data().contains(&0.0), "cut at black");
         let tiny = Image::from_planar(2, 1, vec![0.5; 6]);
-        assert_eq!(
-            trusted(std::slice::from_ref(&tiny), std::slice::from_ref(&tiny)),
-            [tiny]
-        );
+        assert_eq!(trusted(std::slice::from_ref(&tiny), std::slice::from_ref(&tiny)), [tiny]);
     }
 
     #[test]
@@ -172,9 +137,6 @@ mod tests {
         };
         let guide = guide(&edge(30), &edge(31), 1.0);
         let found = guide.get(30, 16)[0];
-        assert!(
-            (found - 0.45).abs() < 0.02,
-            "{found}: 0.45 is the render, 0.5 the view"
-        );
+        assert!((found - 0.45).abs() < 0.02, "{found}: 0.45 is the render, 0.5 the view");
     }
 }

@@ -65,14 +65,7 @@ pub fn late_views(
         depends_on,
         |workspace| workspace.read_json(&path),
         |context| {
-            let placed = find(
-                context,
-                tools,
-                finished,
-                &looked_for,
-                &judgement,
-                depends_on,
-            )?;
+            let placed = find(context, tools, finished, &looked_for, &judgement, depends_on)?;
             let fitted = with_fits(finished.poses, finished.metrics);
             let poses = changed(fitted, finished.capture, leaving, placed);
             context.workspace.write_json(&path, &poses)?;
@@ -134,11 +127,7 @@ fn find(
     let Some(matching) = tools.matching else {
         return Ok(Vec::new());
     };
-    let scene = Scene {
-        finished,
-        leaving: &judgement.leaving,
-        options: depends_on.options(),
-    };
+    let scene = Scene { finished, leaving: &judgement.leaving, options: depends_on.options() };
     let placed = place(context, &scene, matching, looked_for)?;
     let renderer = Renderer::new(tools.gpu);
     let uploaded = renderer.upload(&finished.scene.gaussians)?;
@@ -200,12 +189,7 @@ fn changed(
         verdict.fit = Some(fit);
         poses.views.push(placed.posed);
     }
-    let place = |posed: &PosedView| {
-        capture
-            .views
-            .iter()
-            .position(|view| view.name == posed.name)
-    };
+    let place = |posed: &PosedView| capture.views.iter().position(|view| view.name == posed.name);
     poses.views.sort_by_key(place);
     poses.registered = poses.views.len();
     poses
@@ -227,16 +211,10 @@ fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[Str
         );
         context.sink.warn("views_taken_out", message);
     }
-    let late = poses
-        .views
-        .iter()
-        .filter(|view| !before.views.contains(view));
+    let late = poses.views.iter().filter(|view| !before.views.contains(view));
     let late: Vec<&str> = late.map(|view| &*view.name).collect();
     if !late.is_empty() {
-        let message = format!(
-            "placed with the scene, for the next round: {}",
-            late.join(", ")
-        );
+        let message = format!("placed with the scene, for the next round: {}", late.join(", "));
         context.sink.log(message);
     }
 }
@@ -265,10 +243,7 @@ pub fn changed_views(
         let Some(photograph) = photograph else {
             continue;
         };
-        let view = View {
-            is_late: true,
-            ..views::view(photograph, posed, Split::Train, size)?
-        };
+        let view = View { is_late: true, ..views::view(photograph, posed, Split::Train, size)? };
         views::show(context.workspace, &view)?;
         views.push(view);
     }
@@ -314,10 +289,7 @@ mod tests {
             (0.45, &["c".to_owned(), "b".to_owned()][..])
         );
         // A scene that no view fits well judges none, and three views always stay.
-        assert_eq!(
-            judged(&views.map(|(name, split, fit)| (name, split, 0.7 * fit))),
-            None
-        );
+        assert_eq!(judged(&views.map(|(name, split, fit)| (name, split, 0.7 * fit))), None);
         let few = [("a", Train, 0.9), ("b", Train, 0.9), ("c", Train, 0.1)];
         assert_eq!(judged(&few).map(|found| found.leaving), Some(Vec::new()));
         assert_eq!(judged(&[]), None);

@@ -19,10 +19,8 @@ pub fn write(
     image: &Image,
     format: EncodeFormat,
 ) -> Result<(), PipelineError> {
-    let unencodable = |source| PipelineError::Photograph {
-        name: path.display().to_string(),
-        source,
-    };
+    let unencodable =
+        |source| PipelineError::Photograph { name: path.display().to_string(), source };
     let bytes = image.encode(format).map_err(unencodable)?;
     workspace.write(path, &bytes)
 }

@@ -123,11 +123,7 @@ impl Plan {
     /// Takes an event at a time in seconds; whether progress is to be told.
     pub fn take(&mut self, at: f64, event: &Event) -> bool {
         match event {
-            Event::Planned {
-                rounds,
-                views,
-                shake,
-            } => self.job.replan(*rounds, *views, *shake),
+            Event::Planned { rounds, views, shake } => self.job.replan(*rounds, *views, *shake),
             Event::StageStarted { stage, round } => {
                 self.close(at);
                 self.eta = None;
@@ -140,13 +136,7 @@ impl Plan {
                     counts: true,
                 });
             }
-            Event::StageAdvanced {
-                stage,
-                done,
-                total,
-                steps_per_second,
-                ..
-            } => {
+            Event::StageAdvanced { stage, done, total, steps_per_second, .. } => {
                 let advanced = Advanced {
                     stage: *stage,
                     done: *done,
@@ -188,10 +178,7 @@ impl Plan {
             self.job.count_pairs(event.total);
         }
         // More steps than its time allows: an earlier process made some of them.
-        if event
-            .per_second
-            .is_some_and(|rate| event.done as f64 / rate > at - running.began)
-        {
+        if event.per_second.is_some_and(|rate| event.done as f64 / rate > at - running.began) {
             running.counts = false;
         }
         // A tool that tries another way begins to count anew.
@@ -214,8 +201,7 @@ impl Plan {
             let cost = |(part, work)| (part, (work, drift * work * self.pace(part)));
             let costs: Vec<_> = work.into_iter().map(cost).collect();
             let costs = costs.into_iter();
-            self.measured
-                .extend(costs.map(|(part, cost)| ((running.round, part), cost)));
+            self.measured.extend(costs.map(|(part, cost)| ((running.round, part), cost)));
         }
         self.done.push((running.round, running.stage));
     }
@@ -231,9 +217,8 @@ impl Plan {
         };
         let stepping = metrics.steps as f64 / metrics.steps_per_second;
         let of = |part| self.measured.get(&(metrics.round, part));
-        let whole: f64 = { Part::TRAINING.into_iter().filter_map(of) }
-            .map(|(_, seconds)| seconds)
-            .sum();
+        let whole: f64 =
+            { Part::TRAINING.into_iter().filter_map(of) }.map(|(_, seconds)| seconds).sum();
         let seconds = [
             stepping - between.kernels - between.cameras,
             between.kernels,
@@ -254,12 +239,8 @@ impl Plan {
             let sum = parts.entry(*part).or_default();
             *sum = (sum.0 + work, sum.1 + seconds);
         }
-        let cost = |(part, (work, seconds))| Cost {
-            part,
-            by: self.by.of(part).to_owned(),
-            work,
-            seconds,
-        };
+        let cost =
+            |(part, (work, seconds))| Cost { part, by: self.by.of(part).to_owned(), work, seconds };
         self.history.add(parts.into_iter().map(cost).collect());
         (self.progress, self.eta) = (1.0, Some(0.0));
     }
@@ -305,13 +286,9 @@ impl Plan {
 
     /// Seconds of a part for a unit of its work: of this run, or of this machine's last ones.
     fn known_pace(&self, part: Part) -> Option<f64> {
-        let costs = self
-            .measured
-            .iter()
-            .filter(|((_, other), _)| *other == part);
-        let (work, seconds) = costs.fold((0.0, 0.0), |sum, (_, (work, seconds))| {
-            (sum.0 + work, sum.1 + seconds)
-        });
+        let costs = self.measured.iter().filter(|((_, other), _)| *other == part);
+        let (work, seconds) =
+            costs.fold((0.0, 0.0), |sum, (_, (work, seconds))| (sum.0 + work, sum.1 + seconds));
         let here = (work > 0.0).then(|| seconds / work);
         here.or_else(|| self.history.pace(part, self.by.of(part)))
     }
@@ -328,10 +305,7 @@ impl Plan {
 
     /// Progress and time left as an event.
     pub fn told(&self) -> Event {
-        Event::Progress {
-            progress: self.progress,
-            eta_seconds: self.eta,
-        }
+        Event::Progress { progress: self.progress, eta_seconds: self.eta }
     }
 
     pub fn history(&self) -> &History {

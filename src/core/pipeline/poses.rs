@@ -41,10 +41,7 @@ pub fn poses(
     };
     let path = context.workspace.folder().work().found_poses();
     let serves = |poses: &Poses| serves(poses, &depends_on);
-    let is_here = context
-        .workspace
-        .read_json(&path)
-        .is_some_and(|poses| serves(&poses));
+    let is_here = context.workspace.read_json(&path).is_some_and(|poses| serves(&poses));
     let name = stamp_name(Stage::Poses, 0);
     let fingerprint = depends_on.first.fingerprint();
     let is_stamped = context.workspace.finished(&name, fingerprint).is_some();
@@ -70,10 +67,7 @@ pub fn poses(
     cache.write(context.workspace, &poses)?;
     let called = |view: &CaptureView| (view.name.clone(), view.path.clone());
     let photographs = capture.views.iter().map(called).collect();
-    let poses = Poses {
-        photographs,
-        ..poses
-    };
+    let poses = Poses { photographs, ..poses };
     warn(context.sink, &poses, &capture.views);
     Ok(poses)
 }
@@ -142,9 +136,7 @@ fn warn_of_large_coordinates(sink: &mut dyn ProgressSink, poses: &Poses) {
 
 /// Warns of what the user should know about the poses, from whatever source.
 fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
-    let Poses {
-        registered, total, ..
-    } = poses;
+    let Poses { registered, total, .. } = poses;
     warn_of_large_coordinates(sink, poses);
     if poses.low_confidence {
         let observations: u32 = poses.points.iter().map(|point| point.track).sum();
@@ -257,11 +249,7 @@ fn better(
         }
         (Ok(first), Ok(second)) => {
             let rank = |poses: &Poses| (!poses.low_confidence, poses.registered);
-            Ok(if rank(&second) > rank(&first) {
-                second
-            } else {
-                first
-            })
+            Ok(if rank(&second) > rank(&first) { second } else { first })
         }
         (Err(_), Ok(second)) => Ok(second),
     }

@@ -152,18 +152,15 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
     let points = points::as_given(material.poses);
     let training = material.views.iter().zip(material.explained);
-    let shaken = training
-        .filter(|(view, _)| view.split == Split::Train)
-        .any(|(_, explained)| *explained);
+    let shaken =
+        training.filter(|(view, _)| view.split == Split::Train).any(|(_, explained)| *explained);
     TrainConfig {
         steps: options.steps,
         cap: options.cap as usize,
         sh_degree: options.sh_degree,
         noise: options.noise,
         shake: shaken.then(|| round.response.clone()),
-        refine_poses: options
-            .refine_poses
-            .then(|| reconstruct::scene_depth(&cameras, &points)),
+        refine_poses: options.refine_poses.then(|| reconstruct::scene_depth(&cameras, &points)),
         resolution_schedule: true,
         warm: round.number > 1 && options.start == Start::Warm,
         background: options.background,
@@ -212,9 +209,7 @@ fn checkpoint(
         return None;
     };
     let (number, step) = (round.number, checkpoint.step);
-    context
-        .sink
-        .log(format!("round {number}: resumed at step {step}"));
+    context.sink.log(format!("round {number}: resumed at step {step}"));
     Some(checkpoint)
 }
 
@@ -236,14 +231,8 @@ fn train(
     // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
-        let progress = Advance {
-            done,
-            total,
-            per_second: Some(rate),
-        };
-        shared
-            .borrow_mut()
-            .advance(Stage::Reconstruct, number, progress);
+        let progress = Advance { done, total, per_second: Some(rate) };
+        shared.borrow_mut().advance(Stage::Reconstruct, number, progress);
     };
     let mut keep = |checkpoint: &Checkpoint| {
         let context = &mut *shared.borrow_mut();
@@ -354,10 +343,7 @@ fn with_cameras(
         cameras,
         pose_correction_px,
     };
-    Ok(TrainedScene {
-        gaussians: trained.gaussians,
-        training,
-    })
+    Ok(TrainedScene { gaussians: trained.gaussians, training })
 }
 
 /// The views of one split with their training images.

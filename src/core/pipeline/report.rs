@@ -16,17 +16,10 @@ use crate::poses::Poses;
 /// The report of a run that has not finished a round.
 pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &Poses) -> Report {
     let model = |info: &RestorerInfo| {
-        let RestorerInfo {
-            id,
-            sha256,
-            provider,
-            ..
-        } = info;
+        let RestorerInfo { id, sha256, provider, .. } = info;
         format!("{id} sha256:{sha256} on {provider}")
     };
-    let models = networks
-        .named()
-        .map(|(option, info)| (option.to_owned(), model(info)));
+    let models = networks.named().map(|(option, info)| (option.to_owned(), model(info)));
     let by = &poses.normalisation;
     Report {
         rounds: Vec::new(),
@@ -59,20 +52,13 @@ fn facts(poses: &Poses) -> BTreeMap<String, Value> {
         ("registered", json!(poses.registered)),
         ("total", json!(poses.total)),
         ("points", json!(poses.points.len())),
-        (
-            "mean_reprojection_error_px",
-            json!(poses.mean_reprojection_error),
-        ),
+        ("mean_reprojection_error_px", json!(poses.mean_reprojection_error)),
         ("mean_track", json!(poses.mean_track)),
         ("low_confidence", json!(poses.low_confidence)),
     ];
     // Given poses are not judged and have no verdicts.
     let said = (!poses.verdicts.is_empty()).then(|| ("verdicts", json!(poses.verdicts)));
-    facts
-        .into_iter()
-        .chain(said)
-        .map(|(name, value)| (name.to_owned(), value))
-        .collect()
+    facts.into_iter().chain(said).map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
 /// Adds a finished round and reports it.
@@ -87,9 +73,7 @@ pub fn add_round(
     report.rounds.push(metrics.clone());
     report.best_round = best_round(&report.rounds);
     write(context, report)?;
-    context.sink.event(&Event::RoundFinished {
-        metrics: Box::new(metrics),
-    });
+    context.sink.event(&Event::RoundFinished { metrics: Box::new(metrics) });
     Ok(())
 }
 
@@ -99,10 +83,8 @@ pub fn add_round(
 /// [`PipelineError::Io`].
 pub fn write(context: &Context<'_>, report: &mut Report) -> Result<(), PipelineError> {
     let stages = context.clock.stages();
-    report.stages = stages
-        .iter()
-        .map(|(stage, seconds)| (stage.name().to_owned(), *seconds))
-        .collect();
+    report.stages =
+        stages.iter().map(|(stage, seconds)| (stage.name().to_owned(), *seconds)).collect();
     let workspace = context.workspace;
     workspace.write_json(&workspace.folder().metrics(), report)
 }

@@ -20,11 +20,6 @@ pub struct Round {
 impl Round {
     pub fn new(number: u32, anchor: Anchor, tone: Tone) -> Self {
         let response = Response::through(|v| tone.scene().apply_colour([v; 3])[0]);
-        Self {
-            number,
-            anchor,
-            tone,
-            response,
-        }
+        Self { number, anchor, tone, response }
     }
 }

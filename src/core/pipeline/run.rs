@@ -47,11 +47,7 @@ struct Handover {
 
 impl Handover {
     fn new(next: Next, scene: TrainedScene, depends_on: RoundDependencies) -> Self {
-        Self {
-            next,
-            scene,
-            depends_on,
-        }
+        Self { next, scene, depends_on }
     }
 
     fn guides(&self) -> &[Image] {
@@ -59,10 +55,7 @@ impl Handover {
     }
 
     fn predecessor(&self) -> Predecessor<'_> {
-        Predecessor {
-            gaussians: &self.scene.gaussians,
-            to_next: &self.next.to_next,
-        }
+        Predecessor { gaussians: &self.scene.gaussians, to_next: &self.next.to_next }
     }
 }
 
@@ -102,11 +95,7 @@ pub fn run(
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
     let views = views::load(context, capture, &poses, options)?;
     let shaken = None;
-    let asked = Asked {
-        capture,
-        options,
-        shaken,
-    };
+    let asked = Asked { capture, options, shaken };
     let mut state = RoundState::new(context, asked, tools, poses, views)?;
     let on = &state.depends_on;
     let (views, brightening) = (&state.views, &state.brightening);
@@ -114,11 +103,7 @@ pub fn run(
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
     let in_effect = shaken::in_effect(options, report.capture_shake);
-    let asked = Asked {
-        capture,
-        options: &in_effect,
-        shaken: shaken.as_ref(),
-    };
+    let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
     let rounds = if asked.is_still() { 1 } else { options.rounds };
     context.sink.event(&Event::Planned {
         rounds,
@@ -130,11 +115,7 @@ pub fn run(
     }
     let mut before: Option<Handover> = None;
     for index in 0..in_effect.rounds as usize {
-        let turn = Turn {
-            asked,
-            index,
-            before: before.as_ref(),
-        };
+        let turn = Turn { asked, index, before: before.as_ref() };
         before = round(context, tools, turn, &mut state, &mut report)?;
         if before.is_none() {
             break;
@@ -185,9 +166,7 @@ fn round(
     let (asked, before) = (turn.asked, turn.before);
     let (poses, views, brightening) = (&state.poses, &mut state.views, &state.brightening);
     let round = &brightening.rounds[turn.index];
-    let on = state
-        .depends_on
-        .round(round.number, before.map(|before| &before.depends_on));
+    let on = state.depends_on.round(round.number, before.map(|before| &before.depends_on));
     let brightened = before.map(|before| before.next.enhanced.clone());
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
@@ -290,18 +269,10 @@ impl RoundState {
         views: Vec<View>,
     ) -> Result<Self, PipelineError> {
         let depends_on = RunDependencies::of(asked.options, asked.capture, &poses, tools);
-        let depends_on = depends_on.with_levels(if asked.is_still() {
-            Levels::Target
-        } else {
-            Levels::Rising
-        });
+        let depends_on =
+            depends_on.with_levels(if asked.is_still() { Levels::Target } else { Levels::Rising });
         let brightening = enhance::plan(context, &views, &depends_on, tools)?;
-        Ok(Self {
-            poses,
-            depends_on,
-            views,
-            brightening,
-        })
+        Ok(Self { poses, depends_on, views, brightening })
     }
 
     /// The handover to the next round, remade over these views.
@@ -313,9 +284,7 @@ impl RoundState {
         scene: TrainedScene,
         on: RoundDependencies,
     ) -> Result<Option<Handover>, PipelineError> {
-        let Self {
-            views, brightening, ..
-        } = self;
+        let Self { views, brightening, .. } = self;
         let round = &brightening.rounds[index];
         let renders = render(context, tools.gpu, round, views, &scene.gaussians)?;
         let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?;

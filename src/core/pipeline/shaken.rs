@@ -173,15 +173,9 @@ mod tests {
     #[test]
     fn a_smaller_image_is_shaken_by_fewer_pixels() {
         let at = [280, 420, 560].map(|side| at_size(TOLD_FROM, side));
-        assert!(
-            (0.98..1.26).contains(&at[0]),
-            "fox, and the room of `fled synth`"
-        );
+        assert!((0.98..1.26).contains(&at[0]), "fox, and the room of `fled synth`");
         assert!((0.91..1.45).contains(&at[1]), "still and shaken cells");
-        assert!(
-            (1.33..1.66).contains(&at[2]),
-            "still cells, and most shaken ones"
-        );
+        assert!((1.33..1.66).contains(&at[2]), "still cells, and most shaken ones");
     }
 
     #[test]

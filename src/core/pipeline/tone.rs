@@ -46,9 +46,7 @@ impl Tone {
     /// Applies its curve to every image.
     pub fn apply<'a>(&self, images: impl IntoIterator<Item = &'a Image>) -> Vec<Image> {
         let images = images.into_iter().enumerate();
-        images
-            .map(|(view, image)| self.curve(view).apply(image))
-            .collect()
+        images.map(|(view, image)| self.curve(view).apply(image)).collect()
     }
 }
 

@@ -153,19 +153,13 @@ fn read(
         .zip(splits)
         .map(|(posed, split)| {
             cancel.check()?;
-            let photograph = capture
-                .views
-                .iter()
-                .find(|view| view.name == posed.name)
-                .ok_or_else(|| {
+            let photograph =
+                capture.views.iter().find(|view| view.name == posed.name).ok_or_else(|| {
                     let message = format!(
                         "the poses name a view `{}` that is not in the capture",
                         posed.name
                     );
-                    OptionsError {
-                        key: "pose_source".to_owned(),
-                        message,
-                    }
+                    OptionsError { key: "pose_source".to_owned(), message }
                 })?;
             view(photograph, posed, split, options.size as usize)
         })
@@ -183,10 +177,8 @@ pub fn view(
     size: usize,
 ) -> Result<View, PipelineError> {
     let load = |path: &std::path::Path| {
-        Image::load(path).map_err(|source| PipelineError::Photograph {
-            name: posed.name.clone(),
-            source,
-        })
+        Image::load(path)
+            .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
     };
     let original = load(&photograph.file)?;
     let (width, height) = working_size(original.width(), original.height(), size);
@@ -237,15 +229,7 @@ pub fn splits(
     names: &[&str],
 ) -> Result<Vec<Split>, OptionsError> {
     let every = |n: usize| -> Vec<Split> {
-        (0..names.len())
-            .map(|i| {
-                if i % n == 0 {
-                    Split::HeldOut
-                } else {
-                    Split::Train
-                }
-            })
-            .collect()
+        (0..names.len()).map(|i| if i % n == 0 { Split::HeldOut } else { Split::Train }).collect()
     };
     let these = |wanted: &[&str]| -> Vec<Split> {
         let split = |name: &&str| match wanted.contains(name) {
@@ -254,10 +238,7 @@ pub fn splits(
         };
         names.iter().map(split).collect()
     };
-    let fault = |message: String| OptionsError {
-        key: "held_out".to_owned(),
-        message,
-    };
+    let fault = |message: String| OptionsError { key: "held_out".to_owned(), message };
     match (held_out, hold) {
         ("auto", Some(n)) => return Ok(every(n as usize)),
         ("auto", None) if !given.is_empty() => {
@@ -272,16 +253,11 @@ pub fn splits(
         return if n >= 2 {
             Ok(every(n))
         } else {
-            Err(fault(format!(
-                "holding out every {n}-th view leaves nothing to train on"
-            )))
+            Err(fault(format!("holding out every {n}-th view leaves nothing to train on")))
         };
     }
-    let wanted: Vec<&str> = held_out
-        .split(',')
-        .map(str::trim)
-        .filter(|name| !name.is_empty())
-        .collect();
+    let wanted: Vec<&str> =
+        held_out.split(',').map(str::trim).filter(|name| !name.is_empty()).collect();
     if let Some(unknown) = wanted.iter().find(|name| !names.contains(name)) {
         return Err(fault(format!("`{unknown}` is not a view with a pose")));
     }
@@ -317,9 +293,7 @@ mod tests {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let held = |option: &str, names: &[&str]| -> Vec<usize> {
             let splits = splits(option, None, &[], names).expect("valid");
-            (0..names.len())
-                .filter(|&i| splits[i] == Split::HeldOut)
-                .collect()
+            (0..names.len()).filter(|&i| splits[i] == Split::HeldOut).collect()
         };
         assert_eq!(held("auto", &names), [0, 8, 16]);
         assert_eq!(held("auto", &names[..11]), Vec::<usize>::new());
@@ -331,13 +305,8 @@ mod tests {
     #[test]
     fn auto_holds_out_what_the_capture_holds_out() {
         let held = |option: &str| {
-            let splits = splits(
-                option,
-                Some(3),
-                &["b".to_owned()],
-                &["a", "b", "c", "d", "e"],
-            )
-            .expect("valid");
+            let splits = splits(option, Some(3), &["b".to_owned()], &["a", "b", "c", "d", "e"])
+                .expect("valid");
             let held_out = splits.iter().map(|split| *split == Split::HeldOut);
             held_out.collect::<Vec<_>>()
         };
@@ -371,10 +340,7 @@ mod tests {
         assert!(leave_enough(&[train, held_out, train, train]).is_ok());
         let error = leave_enough(&[held_out, held_out, train, train]).unwrap_err();
         let message = error.to_string();
-        assert!(
-            message.contains("2 of 4") && message.contains("`none`"),
-            "{message}"
-        );
+        assert!(message.contains("2 of 4") && message.contains("`none`"), "{message}");
     }
 
     #[test]

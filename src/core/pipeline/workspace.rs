@@ -34,9 +34,7 @@ impl Workspace {
     /// [`PipelineError::Io`] when it cannot be created.
     pub fn open(root: &Path) -> Result<Self, PipelineError> {
         fs::create_dir_all(root).map_err(|e| PipelineError::io(root, e))?;
-        Ok(Self {
-            folder: RunFolder::new(root),
-        })
+        Ok(Self { folder: RunFolder::new(root) })
     }
 
     /// The paths in the folder.
@@ -51,11 +49,8 @@ impl Workspace {
     /// [`PipelineError::Io`].
     pub fn discard_intermediates(&self) -> Result<(), PipelineError> {
         for path in self.folder.work().disposable() {
-            let gone = if path.is_dir() {
-                fs::remove_dir_all(&path)
-            } else {
-                fs::remove_file(&path)
-            };
+            let gone =
+                if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
             match gone {
                 Err(e) if e.kind() != io::ErrorKind::NotFound => {
                     return Err(PipelineError::io(&path, e));
@@ -117,10 +112,7 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn stamp(&self, name: &str, fingerprint: &str, seconds: f64) -> Result<(), PipelineError> {
-        let stamp = Stamp {
-            fingerprint: fingerprint.to_owned(),
-            seconds,
-        };
+        let stamp = Stamp { fingerprint: fingerprint.to_owned(), seconds };
         self.write_json(&self.folder.work().stamp(name), &stamp)
     }
 

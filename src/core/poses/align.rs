@@ -44,11 +44,7 @@ impl Similarity {
         });
         let rotation = horn(&covariance);
         let scale = (to_spread / from_spread).sqrt();
-        Some(Self {
-            scale,
-            rotation,
-            translation: mean_to - scale * (rotation * mean_from),
-        })
+        Some(Self { scale, rotation, translation: mean_to - scale * (rotation * mean_from) })
     }
 }
 
@@ -70,9 +66,7 @@ impl Similarity {
             let mut all: Vec<f64> = (0..from.len()).map(|index| away(&index)).collect();
             all.sort_by(f64::total_cmp);
             let most = TRIM * all[all.len() / 2] + 1e-12;
-            kept = (0..from.len())
-                .filter(|index| away(index) <= most)
-                .collect();
+            kept = (0..from.len()).filter(|index| away(index) <= most).collect();
             fit = of_cameras(&kept, from, to)?;
         }
         Some(fit)
@@ -82,10 +76,7 @@ impl Similarity {
     pub fn camera(&self, camera: &Camera) -> Camera {
         let rotation = camera.rotation() * DMat3::from_quat(self.rotation.inverse());
         let translation = -(rotation * self.apply(camera.centre()));
-        Camera {
-            world_to_camera: DMat4::from_mat3_translation(rotation, translation),
-            ..*camera
-        }
+        Camera { world_to_camera: DMat4::from_mat3_translation(rotation, translation), ..*camera }
     }
 }
 
@@ -101,9 +92,7 @@ fn of_cameras(kept: &[usize], from: &[Camera], to: &[Camera]) -> Option<Similari
     let by_centres = Similarity::fit(&centres(from), &centres(to))?;
     let arm = extent(&centres(to));
     let points = |cameras: &[Camera], arm: f64| -> Vec<DVec3> {
-        kept.iter()
-            .flat_map(|&index| around(&cameras[index], arm))
-            .collect()
+        kept.iter().flat_map(|&index| around(&cameras[index], arm)).collect()
     };
     Similarity::fit(&points(from, arm / by_centres.scale), &points(to, arm))
 }
@@ -111,11 +100,7 @@ fn of_cameras(kept: &[usize], from: &[Camera], to: &[Camera]) -> Option<Similari
 /// A camera's centre, and what lies an arm to its right and below it.
 fn around(camera: &Camera, arm: f64) -> [DVec3; 3] {
     let (centre, back) = (camera.centre(), camera.rotation().transpose());
-    [
-        centre,
-        centre + arm * back.x_axis,
-        centre + arm * back.y_axis,
-    ]
+    [centre, centre + arm * back.x_axis, centre + arm * back.y_axis]
 }
 
 fn mean(points: &[DVec3]) -> DVec3 {
@@ -127,30 +112,10 @@ fn mean(points: &[DVec3]) -> DVec3 {
 fn horn(covariance: &DMat3) -> DQuat {
     let s = |i: usize, j: usize| covariance.col(i)[j];
     let n = DMat4::from_cols_array_2d(&[
-        [
-            s(0, 0) + s(1, 1) + s(2, 2),
-            s(1, 2) - s(2, 1),
-            s(2, 0) - s(0, 2),
-            s(0, 1) - s(1, 0),
-        ],
-        [
-            s(1, 2) - s(2, 1),
-            s(0, 0) - s(1, 1) - s(2, 2),
-            s(0, 1) + s(1, 0),
-            s(2, 0) + s(0, 2),
-        ],
-        [
-            s(2, 0) - s(0, 2),
-            s(0, 1) + s(1, 0),
-            s(1, 1) - s(0, 0) - s(2, 2),
-            s(1, 2) + s(2, 1),
-        ],
-        [
-            s(0, 1) - s(1, 0),
-            s(2, 0) + s(0, 2),
-            s(1, 2) + s(2, 1),
-            s(2, 2) - s(0, 0) - s(1, 1),
-        ],
+        [s(0, 0) + s(1, 1) + s(2, 2), s(1, 2) - s(2, 1), s(2, 0) - s(0, 2), s(0, 1) - s(1, 0)],
+        [s(1, 2) - s(2, 1), s(0, 0) - s(1, 1) - s(2, 2), s(0, 1) + s(1, 0), s(2, 0) + s(0, 2)],
+        [s(2, 0) - s(0, 2), s(0, 1) + s(1, 0), s(1, 1) - s(0, 0) - s(2, 2), s(1, 2) + s(2, 1)],
+        [s(0, 1) - s(1, 0), s(2, 0) + s(0, 2), s(1, 2) + s(2, 1), s(2, 2) - s(0, 0) - s(1, 1)],
     ]);
     let norm = |m: &DMat4| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
     // Gershgorin: the shift makes every eigenvalue positive, so the largest is the dominant one.
@@ -161,9 +126,8 @@ fn horn(covariance: &DMat3) -> DQuat {
         power *= 1.0 / norm(&power);
     }
     let columns = [power.x_axis, power.y_axis, power.z_axis, power.w_axis];
-    let longest = columns
-        .into_iter()
-        .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
+    let longest =
+        columns.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
     let q = longest.expect("four columns").normalize();
     DQuat::from_xyzw(q.y, q.z, q.w, q.x)
 }
@@ -186,16 +150,11 @@ pub fn compare(estimated: &[Camera], truth: &[Camera]) -> Option<CameraErrors> {
     let (from, to) = (centres(estimated), centres(truth));
     let fit = Similarity::fit(&from, &to)?;
     let extent = extent(&to);
-    let shares: Vec<f64> = from
-        .iter()
-        .zip(&to)
-        .map(|(a, b)| fit.apply(*a).distance(*b) / extent)
-        .collect();
+    let shares: Vec<f64> =
+        from.iter().zip(&to).map(|(a, b)| fit.apply(*a).distance(*b) / extent).collect();
     let angle = |(a, b): (&Camera, &Camera)| {
         let moved = DQuat::from_mat3(&a.rotation()) * fit.rotation.inverse();
-        moved
-            .angle_between(DQuat::from_mat3(&b.rotation()))
-            .to_degrees()
+        moved.angle_between(DQuat::from_mat3(&b.rotation())).to_degrees()
     };
     Some(CameraErrors {
         position_rms: (shares.iter().map(|s| s * s).sum::<f64>() / shares.len() as f64).sqrt(),
@@ -206,10 +165,7 @@ pub fn compare(estimated: &[Camera], truth: &[Camera]) -> Option<CameraErrors> {
 
 /// Largest distance between two of the points.
 pub fn extent(points: &[DVec3]) -> f64 {
-    points
-        .iter()
-        .flat_map(|a| points.iter().map(|b| a.distance(*b)))
-        .fold(0.0, f64::max)
+    points.iter().flat_map(|a| points.iter().map(|b| a.distance(*b))).fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -220,14 +176,7 @@ mod tests {
     use crate::camera::Intrinsics;
 
     fn ring(count: usize) -> Vec<Camera> {
-        let k = Intrinsics {
-            width: 64,
-            height: 48,
-            fx: 60.0,
-            fy: 60.0,
-            cx: 32.0,
-            cy: 24.0,
-        };
+        let k = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
         let camera = |i: usize| {
             let t = i as f64 * 0.7;
             Camera::look_at(
@@ -261,20 +210,11 @@ mod tests {
             let truth = ring(12);
             let estimated = moved(&truth, &by);
             let errors = compare(&estimated, &truth).expect("twelve");
-            assert!(
-                errors.position_max < 1e-9 && errors.rotation_max_degrees < 1e-5,
-                "{errors:?}"
-            );
+            assert!(errors.position_max < 1e-9 && errors.rotation_max_degrees < 1e-5, "{errors:?}");
             let mut wrong = estimated.clone();
-            wrong[3] = Camera {
-                world_to_camera: estimated[4].world_to_camera,
-                ..estimated[3]
-            };
+            wrong[3] = Camera { world_to_camera: estimated[4].world_to_camera, ..estimated[3] };
             let errors = compare(&wrong, &truth).expect("twelve");
-            assert!(
-                errors.position_max > 0.1 && errors.rotation_max_degrees > 5.0,
-                "{errors:?}"
-            );
+            assert!(errors.position_max > 0.1 && errors.rotation_max_degrees > 5.0, "{errors:?}");
         }
     }
 
@@ -295,14 +235,8 @@ mod tests {
             to[3] = to[9];
             let found = Similarity::between(&from, &to).expect("twelve");
             assert!((found.scale - 2.5).abs() < 1e-6, "{found:?}");
-            assert!(
-                found.rotation.dot(by.rotation).abs() > 1.0 - 1e-9,
-                "{found:?}"
-            );
-            assert!(
-                found.translation.distance(by.translation) < 1e-5,
-                "{found:?}"
-            );
+            assert!(found.rotation.dot(by.rotation).abs() > 1.0 - 1e-9, "{found:?}");
+            assert!(found.translation.distance(by.translation) < 1e-5, "{found:?}");
         }
         assert_eq!(Similarity::between(&ring(2), &ring(2)), None);
     }

@@ -41,9 +41,7 @@ pub fn read_poses_bounds(file: &Path) -> Result<Vec<Result<BoundedCamera, String
     }
     let bytes = fs::read(file).map_err(PosesError::io(file))?;
     let table = Table::parse(&bytes).map_err(|reason| {
-        bad_file(format!(
-            "{reason}; save rows of {COLUMNS} numbers by numpy.save"
-        ))
+        bad_file(format!("{reason}; save rows of {COLUMNS} numbers by numpy.save"))
     })?;
     if table.columns != COLUMNS {
         let reason = format!("rows of {} numbers instead of {COLUMNS}", table.columns);
@@ -91,14 +89,7 @@ fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
         cx: 0.5 * width,
         cy: 0.5 * height,
     };
-    Ok(BoundedCamera {
-        camera: Camera {
-            intrinsics,
-            world_to_camera,
-        },
-        near,
-        far,
-    })
+    Ok(BoundedCamera { camera: Camera { intrinsics, world_to_camera }, near, far })
 }
 
 /// Writes the rows.
@@ -111,15 +102,8 @@ pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), Pos
         let axes = camera.rotation().transpose();
         let k = &camera.intrinsics;
         let size = DVec3::new(k.height as f64, k.width as f64, k.fx);
-        for (column, value) in [
-            axes.y_axis,
-            axes.x_axis,
-            -axes.z_axis,
-            camera.centre(),
-            size,
-        ]
-        .into_iter()
-        .enumerate()
+        for (column, value) in
+            [axes.y_axis, axes.x_axis, -axes.z_axis, camera.centre(), size].into_iter().enumerate()
         {
             for line in 0..3 {
                 row[5 * line + column] = value[line];
@@ -127,10 +111,7 @@ pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), Pos
         }
         (row[15], row[16]) = (*near, *far);
     }
-    let table = Table {
-        columns: COLUMNS,
-        values,
-    };
+    let table = Table { columns: COLUMNS, values };
     fs::write(file, table.to_bytes()).map_err(PosesError::io(file))
 }
 
@@ -139,25 +120,10 @@ mod tests {
     use super::*;
 
     fn row() -> BoundedCamera {
-        let k = Intrinsics {
-            width: 320,
-            height: 180,
-            fx: 277.0,
-            fy: 277.0,
-            cx: 160.0,
-            cy: 90.0,
-        };
-        let camera = Camera::look_at(
-            k,
-            DVec3::new(1.0, -2.0, -5.0),
-            DVec3::new(0.2, 0.0, 1.0),
-            DVec3::Y,
-        );
-        BoundedCamera {
-            camera,
-            near: 1.5,
-            far: 9.0,
-        }
+        let k = Intrinsics { width: 320, height: 180, fx: 277.0, fy: 277.0, cx: 160.0, cy: 90.0 };
+        let camera =
+            Camera::look_at(k, DVec3::new(1.0, -2.0, -5.0), DVec3::new(0.2, 0.0, 1.0), DVec3::Y);
+        BoundedCamera { camera, near: 1.5, far: 9.0 }
     }
 
     #[test]
@@ -169,12 +135,7 @@ mod tests {
         assert_eq!(read.len(), 2);
         let second = read[1].clone().unwrap();
         assert_eq!(second.camera.intrinsics, row().camera.intrinsics);
-        assert!(
-            second
-                .camera
-                .world_to_camera
-                .abs_diff_eq(row().camera.world_to_camera, 1e-12)
-        );
+        assert!(second.camera.world_to_camera.abs_diff_eq(row().camera.world_to_camera, 1e-12));
     }
 
     #[test]
@@ -229,21 +190,10 @@ mod tests {
             table.values[5 * line] *= -1.0;
         }
         fs::write(&file, table.to_bytes()).unwrap();
-        assert!(
-            read_poses_bounds(&file)
-                .unwrap_err()
-                .to_string()
-                .contains("row 0")
-        );
-        let narrow = Table {
-            columns: 15,
-            values: vec![0.0; 30],
-        };
+        assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("row 0"));
+        let narrow = Table { columns: 15, values: vec![0.0; 30] };
         fs::write(&file, narrow.to_bytes()).unwrap();
         let message = read_poses_bounds(&file).unwrap_err().to_string();
-        assert!(
-            message.contains("15") && message.starts_with("poses_bounds.npy:"),
-            "{message}"
-        );
+        assert!(message.contains("15") && message.starts_with("poses_bounds.npy:"), "{message}");
     }
 }

@@ -17,10 +17,7 @@ pub struct LeftOut {
 impl LeftOut {
     /// From its name and what is wrong with it.
     pub fn new(name: impl Into<String>, reason: impl Into<String>) -> Self {
-        Self {
-            name: name.into(),
-            reason: reason.into(),
-        }
+        Self { name: name.into(), reason: reason.into() }
     }
 }
 

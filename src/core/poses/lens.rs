@@ -60,24 +60,16 @@ impl Distortion {
         let r2 = p.length_squared();
         match *self {
             Self::None => p,
-            Self::Perspective {
-                radial: [k1, k2, k3, k4, k5, k6],
-                tangential,
-            } => {
+            Self::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential } => {
                 let scale = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))
                     / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
                 p * scale + decentred(p, tangential)
             }
-            Self::Polynomial {
-                radial: [k1, k2, k3, k4],
-                tangential,
-            } => {
+            Self::Polynomial { radial: [k1, k2, k3, k4], tangential } => {
                 let scale = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
                 p * scale + decentred(p, tangential)
             }
-            Self::Fisheye {
-                radial: [k1, k2, k3, k4],
-            } => {
+            Self::Fisheye { radial: [k1, k2, k3, k4] } => {
                 let r = r2.sqrt();
                 if r < 1e-12 {
                     return p;
@@ -115,10 +107,7 @@ impl Distortion {
 /// What OpenCV's tangential terms add.
 fn decentred(p: DVec2, [p1, p2]: [f64; 2]) -> DVec2 {
     let (r2, cross) = (p.length_squared(), 2.0 * p.x * p.y);
-    DVec2::new(
-        p1 * cross + p2 * (r2 + 2.0 * p.x * p.x),
-        p2 * cross + p1 * (r2 + 2.0 * p.y * p.y),
-    )
+    DVec2::new(p1 * cross + p2 * (r2 + 2.0 * p.x * p.x), p2 * cross + p1 * (r2 + 2.0 * p.y * p.y))
 }
 
 impl Lens {
@@ -149,10 +138,7 @@ impl Lens {
         let k = &self.intrinsics;
         let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
             .map(|(x, y)| self.ray(DVec2::new(x * k.width as f64, y * k.height as f64)));
-        let widest = corners
-            .map(DVec2::length_squared)
-            .into_iter()
-            .fold(0.0, f64::max);
+        let widest = corners.map(DVec2::length_squared).into_iter().fold(0.0, f64::max);
         let (mut lower, mut right) = ([[0.0; 6]; 6], [0.0; 6]);
         for step in 1..=FRACTION_STEPS {
             // Powers of the share of the widest square keep the equations well conditioned.
@@ -172,9 +158,7 @@ impl Lens {
         // Many fractions are as good where a term is zero: a small one is taken.
         (0..6).for_each(|i| lower[i][i] += 1e-12);
         let terms = crate::linear::solve(lower, right)?;
-        Some(std::array::from_fn(|i| {
-            terms[i] / widest.powi(i as i32 % 3 + 1)
-        }))
+        Some(std::array::from_fn(|i| terms[i] / widest.powi(i as i32 % 3 + 1)))
     }
 
     /// The pinhole of the same size and principal point with the smallest focal length for which
@@ -228,11 +212,9 @@ impl Lens {
             is_inside && !self.distortion.folds(ray)
         };
         let steps = 32;
-        (0..=steps)
-            .map(|i| f64::from(i) / f64::from(steps))
-            .all(|t| {
-                inside(t * w, 0.0) && inside(t * w, h) && inside(0.0, t * h) && inside(w, t * h)
-            })
+        (0..=steps).map(|i| f64::from(i) / f64::from(steps)).all(|t| {
+            inside(t * w, 0.0) && inside(t * w, h) && inside(0.0, t * h) && inside(w, t * h)
+        })
     }
 }
 
@@ -243,18 +225,12 @@ pub fn undistort<E>(image: &Image<E>, lens: &Lens, pinhole: &Intrinsics) -> Imag
     if lens.distortion.is_none() && lens.intrinsics == *pinhole {
         return Image::from_planar(width, height, image.data().to_vec());
     }
-    let lens = Lens {
-        intrinsics: lens.intrinsics.resized(width, height),
-        ..*lens
-    };
+    let lens = Lens { intrinsics: lens.intrinsics.resized(width, height), ..*lens };
     let k = pinhole.resized(width, height);
     let mut out = Image::new(width, height);
     for y in 0..height {
         for x in 0..width {
-            let p = DVec2::new(
-                (x as f64 + 0.5 - k.cx) / k.fx,
-                (y as f64 + 0.5 - k.cy) / k.fy,
-            );
+            let p = DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
             let source = lens.pixel(p) - 0.5;
             out.set(x, y, sample(image, source.x, source.y));
         }
@@ -267,10 +243,7 @@ fn sample<E>(image: &Image<E>, x: f64, y: f64) -> [f32; 3] {
     let x = x.clamp(0.0, (image.width() - 1) as f64);
     let y = y.clamp(0.0, (image.height() - 1) as f64);
     let (x0, y0) = (x as usize, y as usize);
-    let (x1, y1) = (
-        (x0 + 1).min(image.width() - 1),
-        (y0 + 1).min(image.height() - 1),
-    );
+    let (x1, y1) = ((x0 + 1).min(image.width() - 1), (y0 + 1).min(image.height() - 1));
     let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
     let (a, b) = (image.get(x0, y0), image.get(x1, y0));
     let (c, d) = (image.get(x0, y1), image.get(x1, y1));
@@ -293,11 +266,7 @@ mod tests {
         for (x, y) in (0..160 * 120).map(|i| (i % 160, i / 160)) {
             ramps.set(x, y, [0.2 + 0.004 * x as f32, 0.2 + 0.004 * y as f32, 0.0]);
         }
-        let pinhole = Intrinsics {
-            fx: 140.0,
-            fy: 140.0,
-            ..lens(0.0).intrinsics
-        };
+        let pinhole = Intrinsics { fx: 140.0, fy: 140.0, ..lens(0.0).intrinsics };
         let found = undistort(&ramps, &lens(-0.1), &pinhole).get(10, 20);
         for (found, expected) in found.into_iter().zip([0.22985, 0.27423, 0.0]) {
             assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
@@ -305,14 +274,8 @@ mod tests {
     }
 
     fn lens(k1: f64) -> Lens {
-        let intrinsics = Intrinsics {
-            width: 160,
-            height: 120,
-            fx: 150.0,
-            fy: 150.0,
-            cx: 80.0,
-            cy: 60.0,
-        };
+        let intrinsics =
+            Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
         Lens {
             intrinsics,
             distortion: Distortion::Perspective {
@@ -335,10 +298,7 @@ mod tests {
                 image.set(
                     x,
                     y,
-                    f(DVec2::new(
-                        (x as f64 + 0.5 - k.cx) / k.fx,
-                        (y as f64 + 0.5 - k.cy) / k.fy,
-                    )),
+                    f(DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy)),
                 );
             }
         }
@@ -351,11 +311,7 @@ mod tests {
     }
 
     fn worst(a: &Image<Srgb>, b: &Image<Srgb>) -> f32 {
-        a.data()
-            .iter()
-            .zip(b.data())
-            .map(|(a, b)| (a - b).abs())
-            .fold(0.0, f32::max)
+        a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
     }
 
     #[test]
@@ -366,15 +322,8 @@ mod tests {
             let pinhole = lens.pinhole();
             let expected = image_of(&pinhole, scene);
             let got = undistort(&taken, &lens, &pinhole);
-            assert!(
-                worst(&got, &expected) < 4e-3,
-                "k1 {k1}: {}",
-                worst(&got, &expected)
-            );
-            let wrong = Lens {
-                distortion: self::lens(-k1).distortion,
-                ..lens
-            };
+            assert!(worst(&got, &expected) < 4e-3, "k1 {k1}: {}", worst(&got, &expected));
+            let wrong = Lens { distortion: self::lens(-k1).distortion, ..lens };
             assert!(
                 worst(&undistort(&taken, &wrong, &pinhole), &expected) > 0.05,
                 "a wrong sign goes unseen"
@@ -412,10 +361,7 @@ mod tests {
     #[test]
     fn a_working_size_is_undistorted_as_the_original_is() {
         let lens = lens(0.12);
-        let half = Lens {
-            intrinsics: lens.intrinsics.resized(80, 60),
-            ..lens
-        };
+        let half = Lens { intrinsics: lens.intrinsics.resized(80, 60), ..lens };
         let taken = image_of(&half.intrinsics, |d| scene(straighten(&lens.distortion, d)));
         let expected = image_of(&lens.pinhole().resized(80, 60), scene);
         assert!(worst(&undistort(&taken, &lens, &lens.pinhole()), &expected) < 1.5e-2);
@@ -423,10 +369,7 @@ mod tests {
 
     #[test]
     fn no_distortion_is_a_copy() {
-        let lens = Lens {
-            distortion: Distortion::None,
-            ..lens(0.0)
-        };
+        let lens = Lens { distortion: Distortion::None, ..lens(0.0) };
         let image = image_of(&lens.intrinsics, scene);
         assert_eq!(undistort(&image, &lens, &lens.pinhole()), image);
     }
@@ -460,10 +403,7 @@ mod tests {
         ] {
             let polynomial = Lens {
                 intrinsics,
-                distortion: Distortion::Polynomial {
-                    radial,
-                    tangential: [0.01, -0.02],
-                },
+                distortion: Distortion::Polynomial { radial, tangential: [0.01, -0.02] },
             };
             let fraction = crate::poses::model::ModelCamera::of_lens(1, &polynomial).lens();
             let pixels = (0..=8)

@@ -67,26 +67,15 @@ impl SparseModel {
 
     /// Whether `dir` holds a model.
     pub fn stands_in(dir: &Path) -> bool {
-        ["cameras.bin", "cameras.txt"]
-            .iter()
-            .any(|name| file(dir, name).is_file())
+        ["cameras.bin", "cameras.txt"].iter().any(|name| file(dir, name).is_file())
     }
 }
 
 /// A file of a model, whose name may be written in any case where it is not there as COLMAP has it.
 fn file(dir: &Path, name: &str) -> PathBuf {
     let exact = dir.join(name);
-    let is_it = |path: &PathBuf| {
-        path.file_name()
-            .is_some_and(|own| own.eq_ignore_ascii_case(name))
-    };
-    let others = || {
-        dir.read_dir()
-            .into_iter()
-            .flatten()
-            .flatten()
-            .map(|entry| entry.path())
-    };
+    let is_it = |path: &PathBuf| path.file_name().is_some_and(|own| own.eq_ignore_ascii_case(name));
+    let others = || dir.read_dir().into_iter().flatten().flatten().map(|entry| entry.path());
     match exact.exists() {
         true => exact,
         false => others().find(is_it).unwrap_or(exact),

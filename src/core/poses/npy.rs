@@ -31,28 +31,20 @@ impl Table {
             Ok(values.chunks_exact(width).collect())
         };
         let values: Vec<f64> = match field(header, "descr") {
-            Some("'<f8'") => number(8)?
-                .into_iter()
-                .map(|b| f64::from_le_bytes(array(b)))
-                .collect(),
-            Some("'>f8'") => number(8)?
-                .into_iter()
-                .map(|b| f64::from_be_bytes(array(b)))
-                .collect(),
-            Some("'<f4'") => number(4)?
-                .into_iter()
-                .map(|b| f32::from_le_bytes(array(b)).into())
-                .collect(),
-            Some("'>f4'") => number(4)?
-                .into_iter()
-                .map(|b| f32::from_be_bytes(array(b)).into())
-                .collect(),
+            Some("'<f8'") => number(8)?.into_iter().map(|b| f64::from_le_bytes(array(b))).collect(),
+            Some("'>f8'") => number(8)?.into_iter().map(|b| f64::from_be_bytes(array(b))).collect(),
+            Some("'<f4'") => {
+                number(4)?.into_iter().map(|b| f32::from_le_bytes(array(b)).into()).collect()
+            }
+            Some("'>f4'") => {
+                number(4)?.into_iter().map(|b| f32::from_be_bytes(array(b)).into()).collect()
+            }
             _ => return Err("its numbers are neither float64 nor float32".to_owned()),
         };
         let values = match field(header, "fortran_order") {
-            Some("True") => (0..values.len())
-                .map(|at| values[at % columns * rows + at / columns])
-                .collect(),
+            Some("True") => {
+                (0..values.len()).map(|at| values[at % columns * rows + at / columns]).collect()
+            }
             _ => values,
         };
         Ok(Self { columns, values })
@@ -103,9 +95,7 @@ fn field<'a>(header: &'a str, key: &str) -> Option<&'a str> {
 }
 
 fn shape(header: &str) -> Option<[usize; 2]> {
-    let numbers = field(header, "shape")?
-        .strip_prefix('(')?
-        .strip_suffix(')')?;
+    let numbers = field(header, "shape")?.strip_prefix('(')?.strip_suffix(')')?;
     let (rows, columns) = numbers.split_once(',')?;
     Some([rows.trim().parse().ok()?, columns.trim().parse().ok()?])
 }
@@ -120,10 +110,7 @@ mod tests {
 
     #[test]
     fn every_width_and_order_gives_the_same_table() {
-        let table = Table {
-            columns: 3,
-            values: (0..6).map(f64::from).collect(),
-        };
+        let table = Table { columns: 3, values: (0..6).map(f64::from).collect() };
         assert_eq!(Table::parse(&table.to_bytes()), Ok(table.clone()));
         let file = |version: u8, number: &str, order: &str, values: Vec<u8>| {
             let header =
@@ -135,30 +122,10 @@ mod tests {
         let values = || table.values.iter().copied();
         let by_columns = [0.0_f64, 3.0, 1.0, 4.0, 2.0, 5.0];
         for bytes in [
-            file(
-                1,
-                ">f8",
-                "False",
-                values().flat_map(f64::to_be_bytes).collect(),
-            ),
-            file(
-                2,
-                "<f4",
-                "False",
-                values().flat_map(|v| (v as f32).to_le_bytes()).collect(),
-            ),
-            file(
-                3,
-                ">f4",
-                "False",
-                values().flat_map(|v| (v as f32).to_be_bytes()).collect(),
-            ),
-            file(
-                1,
-                "<f8",
-                "True",
-                by_columns.into_iter().flat_map(f64::to_le_bytes).collect(),
-            ),
+            file(1, ">f8", "False", values().flat_map(f64::to_be_bytes).collect()),
+            file(2, "<f4", "False", values().flat_map(|v| (v as f32).to_le_bytes()).collect()),
+            file(3, ">f4", "False", values().flat_map(|v| (v as f32).to_be_bytes()).collect()),
+            file(1, "<f8", "True", by_columns.into_iter().flat_map(f64::to_le_bytes).collect()),
         ] {
             assert_eq!(Table::parse(&bytes), Ok(table.clone()));
         }

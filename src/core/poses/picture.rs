@@ -26,14 +26,8 @@ const CAMERA: f64 = 16.0;
 /// SVG file; what has no place is named below.
 pub fn svg(poses: &Poses) -> String {
     let cameras: Vec<&Camera> = poses.views.iter().map(|view| &view.camera).collect();
-    let plan = Plan::new(
-        &cameras,
-        &poses
-            .points
-            .iter()
-            .map(|p| p.position.into())
-            .collect::<Vec<_>>(),
-    );
+    let plan =
+        Plan::new(&cameras, &poses.points.iter().map(|p| p.position.into()).collect::<Vec<_>>());
     let side = SIDE + 2.0 * MARGIN;
     let notes = notes(poses);
     let height = side + 20.0 * notes.len() as f64;
@@ -82,10 +76,7 @@ pub fn svg(poses: &Poses) -> String {
 /// What the picture does not show.
 fn notes(poses: &Poses) -> Vec<String> {
     let named = |status: PoseStatus, words: &str| {
-        let verdicts = poses
-            .verdicts
-            .iter()
-            .filter(|verdict| verdict.status == status);
+        let verdicts = poses.verdicts.iter().filter(|verdict| verdict.status == status);
         let names: Vec<&str> = verdicts.map(|verdict| &*verdict.name).collect();
         (!names.is_empty()).then(|| format!("{words}: {}", names.join(", ")))
     };
@@ -98,16 +89,11 @@ fn notes(poses: &Poses) -> Vec<String> {
     let missing = [
         named(PoseStatus::Doubtful, "doubtful, left out"),
         named(PoseStatus::NotFound, "not placed"),
-        named(
-            PoseStatus::TakenOut,
-            "taken out, as they did not fit the scene",
-        ),
+        named(PoseStatus::TakenOut, "taken out, as they did not fit the scene"),
         named(PoseStatus::Given, "as given, unchecked"),
         named(PoseStatus::Late, "placed with the scene"),
     ];
-    std::iter::once(count)
-        .chain(missing.into_iter().flatten())
-        .collect()
+    std::iter::once(count).chain(missing.into_iter().flatten()).collect()
 }
 
 /// The ground plane on the picture.
@@ -122,18 +108,11 @@ struct Plan {
 
 impl Plan {
     fn new(cameras: &[&Camera], points: &[DVec3]) -> Self {
-        let up: DVec3 = cameras
-            .iter()
-            .map(|camera| camera.rotation().transpose() * DVec3::NEG_Y)
-            .sum();
+        let up: DVec3 =
+            cameras.iter().map(|camera| camera.rotation().transpose() * DVec3::NEG_Y).sum();
         let up = up.try_normalize().unwrap_or(DVec3::NEG_Y);
         let right = up.any_orthonormal_vector();
-        let mut plan = Self {
-            right,
-            down: right.cross(up),
-            corner: DVec2::ZERO,
-            scale: 1.0,
-        };
+        let mut plan = Self { right, down: right.cross(up), corner: DVec2::ZERO, scale: 1.0 };
         let centres: Vec<DVec3> = cameras.iter().map(|camera| camera.centre()).collect();
         let range = |axis: DVec3| {
             let along = |places: &[DVec3]| -> Vec<f64> {
@@ -146,10 +125,7 @@ impl Plan {
             let outside = (OUTLIERS * points.len() as f64) as usize;
             let inner = &points[outside..points.len() - outside];
             let both = inner.iter().chain(&cameras).copied();
-            (
-                both.clone().fold(f64::MAX, f64::min),
-                both.fold(f64::MIN, f64::max),
-            )
+            (both.clone().fold(f64::MAX, f64::min), both.fold(f64::MIN, f64::max))
         };
         let ((left, rightmost), (top, bottom)) = (range(plan.right), range(plan.down));
         let longest = (rightmost - left).max(bottom - top);
@@ -179,24 +155,15 @@ mod tests {
     use crate::poses::{Distortion, Lens, PoseVerdict, PosedView, SparsePoint};
 
     fn ring(count: usize) -> Poses {
-        let intrinsics = Intrinsics {
-            width: 64,
-            height: 48,
-            fx: 60.0,
-            fy: 60.0,
-            cx: 32.0,
-            cy: 24.0,
-        };
+        let intrinsics =
+            Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
         let view = |index: usize| {
             let angle = std::f64::consts::TAU * index as f64 / count as f64;
             let eye = DVec3::new(4.0 * angle.cos(), -1.0, 4.0 * angle.sin());
             PosedView {
                 name: format!("view{index}"),
                 camera: Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y),
-                lens: Lens {
-                    intrinsics,
-                    distortion: Distortion::None,
-                },
+                lens: Lens { intrinsics, distortion: Distortion::None },
             }
         };
         let point = |index: usize| SparsePoint {

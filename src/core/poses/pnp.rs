@@ -54,10 +54,7 @@ pub fn resect(
         let three: [usize; 3] = std::array::from_fn(|_| rng.random_range(0..sightings.len()));
         let three = three.map(|index| sightings[index]);
         for world_to_camera in from_three(intrinsics, &three) {
-            let camera = Camera {
-                intrinsics: *intrinsics,
-                world_to_camera,
-            };
+            let camera = Camera { intrinsics: *intrinsics, world_to_camera };
             let count = agreeing(&camera, sightings, near_px).len();
             if best.as_ref().is_none_or(|(most, _)| count > *most) {
                 best = Some((count, camera));
@@ -79,11 +76,7 @@ pub fn resect(
         away * away
     });
     let rms_px = (squares.sum::<f64>() / inliers.len() as f64).sqrt();
-    (inliers.len() >= LEAST_POINTS).then_some(Resection {
-        camera,
-        inliers,
-        rms_px,
-    })
+    (inliers.len() >= LEAST_POINTS).then_some(Resection { camera, inliers, rms_px })
 }
 
 /// The point that most of the cameras see within `near_px` of these pixels, at least two, from
@@ -92,17 +85,12 @@ pub fn meeting(seen: &[(&Camera, DVec2)], near_px: f64) -> Option<DVec3> {
     let ray = |(camera, pixel): &(&Camera, DVec2)| {
         let k = &camera.intrinsics;
         let ahead = DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
-        (
-            camera.centre(),
-            (camera.rotation().transpose() * ahead).normalize(),
-        )
+        (camera.centre(), (camera.rotation().transpose() * ahead).normalize())
     };
     let rays: Vec<_> = seen.iter().map(ray).collect();
     let agree = |point: DVec3| {
         let near = |(camera, pixel): &&(&Camera, DVec2)| {
-            camera
-                .project(point)
-                .is_some_and(|(at, _)| at.distance(*pixel) <= near_px)
+            camera.project(point).is_some_and(|(at, _)| at.distance(*pixel) <= near_px)
         };
         seen.iter().filter(near).count()
     };
@@ -182,10 +170,7 @@ fn step(
     let by = solve(lower, right)?;
     let turn = DQuat::from_scaled_axis(DVec3::new(by[0], by[1], by[2]));
     let motion = DMat4::from_rotation_translation(turn, DVec3::new(by[3], by[4], by[5]));
-    Some(Camera {
-        world_to_camera: motion * camera.world_to_camera,
-        ..*camera
-    })
+    Some(Camera { world_to_camera: motion * camera.world_to_camera, ..*camera })
 }
 
 /// From world to camera, up to four ways, by three sightings: Grunert's solution (1841) as in
@@ -206,11 +191,7 @@ fn from_three(intrinsics: &Intrinsics, three: &[Sighting; 3]) -> Vec<DMat4> {
         return Vec::new();
     }
     // Cosines of the angles between the rays.
-    let (alpha, beta, gamma) = (
-        rays[1].dot(rays[2]),
-        rays[0].dot(rays[2]),
-        rays[0].dot(rays[1]),
-    );
+    let (alpha, beta, gamma) = (rays[1].dot(rays[2]), rays[0].dot(rays[2]), rays[0].dot(rays[1]));
     let (less, more) = ((a2 - c2) / b2, (a2 + c2) / b2);
     let (alpha2, beta2, gamma2) = (alpha * alpha, beta * beta, gamma * gamma);
     let all = alpha * beta * gamma;
@@ -267,10 +248,7 @@ fn positive_roots(quartic: &[f64; 5]) -> Vec<f64> {
         rest.fold(DVec2::X, |sum, of| times(sum, at) + DVec2::new(*of, 0.0))
     };
     // All on a circle that holds every root, none on the real axis.
-    let radius = 1.0
-        + monic[..4]
-            .iter()
-            .fold(0.0, |most: f64, of| most.max(of.abs()));
+    let radius = 1.0 + monic[..4].iter().fold(0.0, |most: f64, of| most.max(of.abs()));
     let mut roots: [DVec2; 4] = std::array::from_fn(|i| {
         radius.min(4.0) * DVec2::from_angle(0.4 + std::f64::consts::FRAC_PI_2 * i as f64)
     });
@@ -290,14 +268,7 @@ mod tests {
     use super::*;
 
     fn intrinsics() -> Intrinsics {
-        Intrinsics {
-            width: 560,
-            height: 380,
-            fx: 500.0,
-            fy: 490.0,
-            cx: 283.0,
-            cy: 188.0,
-        }
+        Intrinsics { width: 560, height: 380, fx: 500.0, fy: 490.0, cx: 283.0, cy: 188.0 }
     }
 
     fn camera() -> Camera {
@@ -313,10 +284,7 @@ mod tests {
             .map(|_| {
                 let point = DVec3::new(side(0.9), side(0.6), side(0.8));
                 let (pixel, _) = camera().project(point).expect("before the camera");
-                Sighting {
-                    pixel: pixel + DVec2::new(side(noise), side(noise)),
-                    point,
-                }
+                Sighting { pixel: pixel + DVec2::new(side(noise), side(noise)), point }
             })
             .collect()
     }
@@ -334,10 +302,7 @@ mod tests {
             let nearest = from_three(&intrinsics(), &three)
                 .into_iter()
                 .map(|world_to_camera| {
-                    let camera = Camera {
-                        intrinsics: intrinsics(),
-                        world_to_camera,
-                    };
+                    let camera = Camera { intrinsics: intrinsics(), world_to_camera };
                     apart(&camera).0
                 })
                 .fold(f64::INFINITY, f64::min);
@@ -350,10 +315,10 @@ mod tests {
         let mut all = sightings(60, 1.0, 1);
         let wrong = sightings(120, 0.0, 2);
         let pixels = sightings(120, 0.0, 3);
-        let mixed = wrong.iter().zip(&pixels).map(|(wrong, other)| Sighting {
-            pixel: other.pixel,
-            ..*wrong
-        });
+        let mixed = wrong
+            .iter()
+            .zip(&pixels)
+            .map(|(wrong, other)| Sighting { pixel: other.pixel, ..*wrong });
         all.extend(mixed);
         let found = resect(&intrinsics(), &all, 4.0, 7).expect("found");
         let (away, turn) = apart(&found.camera);

@@ -40,14 +40,10 @@ pub fn rotation(matrix: DMat3) -> Result<Rotation, String> {
     let off = off.into_iter().fold(0.0, f64::max);
     if !(nearest.is_finite() && off < BENT) {
         return Err(
-            "is no rotation (its axes are not of one length and at right angles)".to_owned(),
+            "is no rotation (its axes are not of one length and at right angles)".to_owned()
         );
     }
-    Ok(Rotation {
-        matrix: nearest,
-        scale,
-        is_mended: off.max((scale - 1.0).abs()) > EXACT,
-    })
+    Ok(Rotation { matrix: nearest, scale, is_mended: off.max((scale - 1.0).abs()) > EXACT })
 }
 
 #[cfg(test)]

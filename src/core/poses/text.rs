@@ -25,9 +25,7 @@ pub fn read(file: &Path) -> Result<String, PosesError> {
     };
     let wide = |bytes: &[u8], unit: fn([u8; 2]) -> u16| -> String {
         let units = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));
-        char::decode_utf16(units)
-            .map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER))
-            .collect()
+        char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
     };
     Ok(match &bytes[..] {
         [0xef, 0xbb, 0xbf, rest @ ..] => narrow(rest),

@@ -70,18 +70,8 @@ impl Turn {
             true => (k.fy, k.fx),
             false => (k.fx, k.fy),
         };
-        let intrinsics = Intrinsics {
-            width,
-            height,
-            fx,
-            fy,
-            cx: centre.x,
-            cy: centre.y,
-        };
-        Lens {
-            intrinsics,
-            distortion: self.distortion(lens.distortion),
-        }
+        let intrinsics = Intrinsics { width, height, fx, fy, cx: centre.x, cy: centre.y };
+        Lens { intrinsics, distortion: self.distortion(lens.distortion) }
     }
 
     /// Radial terms look the same from every side. The tangential ones bend p by
@@ -93,14 +83,12 @@ impl Turn {
         };
         match distortion {
             Distortion::None | Distortion::Fisheye { .. } => distortion,
-            Distortion::Perspective { radial, tangential } => Distortion::Perspective {
-                radial,
-                tangential: turned(tangential),
-            },
-            Distortion::Polynomial { radial, tangential } => Distortion::Polynomial {
-                radial,
-                tangential: turned(tangential),
-            },
+            Distortion::Perspective { radial, tangential } => {
+                Distortion::Perspective { radial, tangential: turned(tangential) }
+            }
+            Distortion::Polynomial { radial, tangential } => {
+                Distortion::Polynomial { radial, tangential: turned(tangential) }
+            }
         }
     }
 }

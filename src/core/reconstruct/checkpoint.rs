@@ -125,15 +125,8 @@ impl Checkpoint {
         let content = intact(bytes)?;
         let (header, rest) = content.split_at(size_of::<Header>());
         let header: Header = bytemuck::pod_read_unaligned(header);
-        let [
-            geometry,
-            geometry_moments,
-            sh,
-            sh_moments,
-            noise,
-            shake,
-            motions,
-        ] = arrays(rest, &header.lengths)?;
+        let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions] =
+            arrays(rest, &header.lengths)?;
         let out = Self {
             fingerprint: header.fingerprint,
             step: header.step,
@@ -150,24 +143,15 @@ impl Checkpoint {
             shake,
             motions,
         };
-        if out.consistent() {
-            Ok(out)
-        } else {
-            Err(fault("its arrays do not match"))
-        }
+        if out.consistent() { Ok(out) } else { Err(fault("its arrays do not match")) }
     }
 
     fn consistent(&self) -> bool {
         let sh = sh_row(self.sh_degree.min(3)) * self.count();
         let n = self.count();
         let expected = [GEOMETRY_ROW * n, 2 * GEOMETRY_ROW * n, sh, 2 * sh];
-        let found = [
-            &self.geometry,
-            &self.geometry_moments,
-            &self.sh,
-            &self.sh_moments,
-        ]
-        .map(Vec::len);
+        let found =
+            [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
         self.sh_degree <= 3 && expected == found
     }
 }
@@ -188,9 +172,7 @@ fn intact(bytes: &[u8]) -> Result<&[u8], CheckpointError> {
     }
     if header.version != VERSION {
         let found = header.version;
-        return Err(fault(&format!(
-            "version {found}, but this program reads {VERSION}"
-        )));
+        return Err(fault(&format!("version {found}, but this program reads {VERSION}")));
     }
     if blake3::hash(content).as_bytes() != hash {
         return Err(fault("damaged"));
@@ -207,9 +189,7 @@ fn arrays(bytes: &[u8], lengths: &[u64; ARRAYS]) -> Result<[Vec<f32>; ARRAYS], C
             .ok()
             .and_then(|numbers| numbers.checked_mul(size_of::<f32>()))
             .unwrap_or(usize::MAX);
-        let (values, tail) = rest
-            .split_at_checked(size)
-            .ok_or_else(|| fault("truncated"))?;
+        let (values, tail) = rest.split_at_checked(size).ok_or_else(|| fault("truncated"))?;
         *array = bytemuck::pod_collect_to_vec(values);
         rest = tail;
     }
@@ -242,10 +222,7 @@ mod tests {
 
     #[test]
     fn a_checkpoint_round_trips_bit_for_bit() {
-        assert_eq!(
-            Checkpoint::from_bytes(&checkpoint().to_bytes()),
-            Ok(checkpoint())
-        );
+        assert_eq!(Checkpoint::from_bytes(&checkpoint().to_bytes()), Ok(checkpoint()));
     }
 
     #[test]
@@ -261,10 +238,7 @@ mod tests {
         newer[16] += 1;
         assert!(refused(&newer).starts_with("version 8"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
-        let odd = Checkpoint {
-            sh_degree: 2,
-            ..checkpoint()
-        };
+        let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not match");
     }
 }

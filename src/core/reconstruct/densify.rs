@@ -37,37 +37,24 @@ fn usable(row: &GeometryRow) -> bool {
 }
 
 fn opacity(row: &GeometryRow) -> f32 {
-    if usable(row) {
-        1.0 / (1.0 + (-row.opacity_logit).exp())
-    } else {
-        0.0
-    }
+    if usable(row) { 1.0 / (1.0 + (-row.opacity_logit).exp()) } else { 0.0 }
 }
 
 /// Plans a densification of `rows`: every dead Gaussian moves, and the scene grows to `target`
 /// rows. Sources are drawn in proportion to opacity.
 pub fn plan(rows: &[GeometryRow], target: usize, random: &mut impl Rng) -> Plan {
     let opacities: Vec<_> = rows.par_iter().map(opacity).collect();
-    let dead: Vec<_> = (0..rows.len())
-        .filter(|&i| opacities[i] <= MIN_OPACITY)
-        .collect();
+    let dead: Vec<_> = (0..rows.len()).filter(|&i| opacities[i] <= MIN_OPACITY).collect();
     let grown = target.max(rows.len());
     let targets: Vec<_> = dead.iter().copied().chain(rows.len()..grown).collect();
     let mut cumulative = Vec::with_capacity(rows.len());
     let mut total = 0.0_f64;
     for &opacity in &opacities {
-        total += if opacity > MIN_OPACITY {
-            f64::from(opacity)
-        } else {
-            0.0
-        };
+        total += if opacity > MIN_OPACITY { f64::from(opacity) } else { 0.0 };
         cumulative.push(total);
     }
     if total <= 0.0 {
-        return Plan {
-            count: rows.len(),
-            ..Plan::default()
-        };
+        return Plan { count: rows.len(), ..Plan::default() };
     }
     let mut copies = vec![1_u32; rows.len()];
     let mut moves = Vec::with_capacity(2 * targets.len());
@@ -76,38 +63,24 @@ pub fn plan(rows: &[GeometryRow], target: usize, random: &mut impl Rng) -> Plan 
         copies[source] += 1;
         moves.push([to as u32, source as u32]);
     }
-    moves.extend(
-        (0..rows.len())
-            .filter(|&i| copies[i] > 1)
-            .map(|i| [i as u32; 2]),
-    );
+    moves.extend((0..rows.len()).filter(|&i| copies[i] > 1).map(|i| [i as u32; 2]));
     let shape = |source: u32| split(&rows[source as usize], copies[source as usize]);
     let shapes = moves.iter().map(|&[_, source]| shape(source)).collect();
-    Plan {
-        moves,
-        shapes,
-        count: grown,
-        relocated: dead.len(),
-    }
+    Plan { moves, shapes, count: grown, relocated: dead.len() }
 }
 
 /// Draws an index in proportion to opacity, among those that may still be split.
 fn draw(cumulative: &[f64], total: f64, copies: &[u32], random: &mut impl Rng) -> usize {
     for _ in 0..64 {
         let at = random.random::<f64>() * total;
-        let index = cumulative
-            .partition_point(|&sum| sum <= at)
-            .min(cumulative.len() - 1);
+        let index = cumulative.partition_point(|&sum| sum <= at).min(cumulative.len() - 1);
         if copies[index] < MOST_COPIES {
             return index;
         }
     }
     // Nearly everything is dead: take the living one with the fewest splits.
     let alive = |i: &usize| cumulative[*i] > if *i == 0 { 0.0 } else { cumulative[*i - 1] };
-    (0..copies.len())
-        .filter(alive)
-        .min_by_key(|&i| copies[i])
-        .unwrap_or(0)
+    (0..copies.len()).filter(alive).min_by_key(|&i| copies[i]).unwrap_or(0)
 }
 
 /// Log-scales and logit of each of `copies` equal Gaussians that together look like `row`.
@@ -127,18 +100,9 @@ fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
     let shift = (old / denominator).ln();
     // The alternating sum loses all its digits for many opaque copies; a split never enlarges a
     // splat.
-    let shift = if shift.is_finite() {
-        shift.clamp(-3.0, 0.0)
-    } else {
-        0.0
-    };
+    let shift = if shift.is_finite() { shift.clamp(-3.0, 0.0) } else { 0.0 };
     let scale = |axis: usize| (f64::from(row.log_scale[axis]) + shift) as f32;
-    [
-        scale(0),
-        scale(1),
-        scale(2),
-        (new / (1.0 - new)).ln() as f32,
-    ]
+    [scale(0), scale(1), scale(2), (new / (1.0 - new)).ln() as f32]
 }
 
 /// Number of Gaussians after the next growth. Long rounds grow by [`GROWTH`] each time; short ones
@@ -173,12 +137,8 @@ mod tests {
         rows[3] = row(0.001);
         rows[5].mean[0] = f32::NAN;
         let plan = plan(&rows, 44, &mut Pcg64::seed_from_u64(1));
-        let targets: Vec<_> = plan
-            .moves
-            .iter()
-            .filter(|[to, from]| to != from)
-            .map(|[to, _]| *to)
-            .collect();
+        let targets: Vec<_> =
+            plan.moves.iter().filter(|[to, from]| to != from).map(|[to, _]| *to).collect();
         assert_eq!(targets, [3, 5, 40, 41, 42, 43]);
         assert_eq!((plan.count, plan.relocated), (44, 2));
         for [to, source] in &plan.moves {
@@ -193,13 +153,7 @@ mod tests {
     #[test]
     fn without_living_gaussians_nothing_happens() {
         let plan = plan(&[row(0.001); 5], 9, &mut Pcg64::seed_from_u64(1));
-        assert_eq!(
-            plan,
-            Plan {
-                count: 5,
-                ..Plan::default()
-            }
-        );
+        assert_eq!(plan, Plan { count: 5, ..Plan::default() });
     }
 
     #[test]
@@ -225,17 +179,12 @@ mod tests {
             // The integral along a line through the centre, which equation 9 preserves.
             let ratio = (f64::from(x) + 2.0).exp();
             let integral = |width: f64, alpha: &dyn Fn(f64) -> f64| {
-                (-4_000..4_000)
-                    .map(|n| alpha(f64::from(n) * 0.002 / width))
-                    .sum::<f64>()
+                (-4_000..4_000).map(|n| alpha(f64::from(n) * 0.002 / width)).sum::<f64>()
             };
             let bell = |d: f64| (-0.5 * d * d).exp();
             let before = integral(1.0, &|d| f64::from(opacity) * bell(d));
             let after = integral(ratio, &|d| 1.0 - (1.0 - each * bell(d)).powi(copies as i32));
-            assert!(
-                (after / before - 1.0).abs() < 1e-3,
-                "{opacity} {copies}: {after} {before}"
-            );
+            assert!((after / before - 1.0).abs() < 1e-3, "{opacity} {copies}: {after} {before}");
         }
     }
 

@@ -46,22 +46,14 @@ impl<'a> ForwardModel<'a> {
         purpose: Purpose<'_>,
     ) -> Result<Self, ReconstructError> {
         if views.is_empty() || gaussians.is_empty() {
-            return Err(ReconstructError::Empty {
-                views: views.len(),
-                gaussians: gaussians.len(),
-            });
+            return Err(ReconstructError::Empty { views: views.len(), gaussians: gaussians.len() });
         }
         let size = largest(views);
-        let shake = purpose
-            .shake
-            .map(|response| Shake::new(gpu, size, response));
+        let shake = purpose.shake.map(|response| Shake::new(gpu, size, response));
         let shake = shake.transpose()?;
         let kernel = || shake.as_ref().map(|_| DeviceKernel::new(gpu)).transpose();
         let observed = |view| Ok(Observed::new(view, kernel()?));
-        let views = views
-            .iter()
-            .map(observed)
-            .collect::<Result<Vec<_>, GpuError>>()?;
+        let views = views.iter().map(observed).collect::<Result<Vec<_>, GpuError>>()?;
         let device = DeviceGaussians::upload(gpu, gaussians, purpose.capacity)?;
         let mut model = Self {
             pass: ForwardPass::new(gpu, device, size, purpose.gradients)?,

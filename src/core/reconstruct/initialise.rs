@@ -59,9 +59,8 @@ fn camera_radius(cameras: &[Camera]) -> f64 {
 fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
     let mut depths = Vec::new();
     for camera in cameras {
-        let seen = points
-            .iter()
-            .filter_map(|p| camera.shows(DVec3::from(p.position.map(f64::from))));
+        let seen =
+            points.iter().filter_map(|p| camera.shows(DVec3::from(p.position.map(f64::from))));
         depths.extend(seen.map(|(_, depth)| depth));
     }
     depths.sort_by(f64::total_cmp);
@@ -84,11 +83,7 @@ pub fn initialise(
     let extent = scene_extent(cameras, &all);
     // Without any points, half of the cap is placed at random, and the rest grows where the error
     // is.
-    let wanted = if all.is_empty() {
-        cap / 2
-    } else {
-        FILL_UP.min(cap)
-    };
+    let wanted = if all.is_empty() { cap / 2 } else { FILL_UP.min(cap) };
     let missing = wanted.saturating_sub(all.len());
     all.extend(random_points(&all, cameras, missing, &mut random));
     let scene = gaussians_at(&all, extent);
@@ -98,9 +93,8 @@ pub fn initialise(
 /// One Gaussian of degree 0 per point.
 pub(super) fn gaussians_at(points: &[Point], extent: f64) -> Gaussians {
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
-    let log_scales = neighbour_distances(points)
-        .into_iter()
-        .map(|d| [d.clamp(low, high).ln() as f32; 3]);
+    let log_scales =
+        neighbour_distances(points).into_iter().map(|d| [d.clamp(low, high).ln() as f32; 3]);
     Gaussians {
         means: points.iter().map(|p| p.position).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; points.len()],
@@ -129,10 +123,8 @@ fn random_points(
         .map(|_| {
             let camera = &cameras[random.random_range(0..cameras.len())];
             let k = &camera.intrinsics;
-            let pixel = [
-                random.random::<f64>() * k.width as f64,
-                random.random::<f64>() * k.height as f64,
-            ];
+            let pixel =
+                [random.random::<f64>() * k.width as f64, random.random::<f64>() * k.height as f64];
             let share: f64 = random.random();
             let depth = 1.0 / (share / near + (1.0 - share) / far);
             let ray = DVec3::new((pixel[0] - k.cx) / k.fx, (pixel[1] - k.cy) / k.fy, 1.0);
@@ -144,10 +136,7 @@ fn random_points(
     let coloured = |position: &[f32; 3]| {
         let away = |point: &Point| squared(&point.position, position);
         let nearest = known.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
-        Point {
-            position: *position,
-            colour: nearest.map_or([128; 3], |point| point.colour),
-        }
+        Point { position: *position, colour: nearest.map_or([128; 3], |point| point.colour) }
     };
     places.par_iter().map(coloured).collect()
 }
@@ -170,15 +159,9 @@ fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 /// Mean distance of every point to its three nearest neighbours; infinite for a lone point.
 fn neighbour_distances(points: &[Point]) -> Vec<f64> {
     let mut order: Vec<_> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| {
-        points[a].position[0]
-            .total_cmp(&points[b].position[0])
-            .then(a.cmp(&b))
-    });
-    let by_rank: Vec<_> = (0..order.len())
-        .into_par_iter()
-        .map(|rank| nearest_three(points, &order, rank))
-        .collect();
+    order.sort_by(|&a, &b| points[a].position[0].total_cmp(&points[b].position[0]).then(a.cmp(&b)));
+    let by_rank: Vec<_> =
+        (0..order.len()).into_par_iter().map(|rank| nearest_three(points, &order, rank)).collect();
     let mut out = vec![0.0; points.len()];
     for (&index, distance) in order.iter().zip(by_rank) {
         out[index] = distance;
@@ -213,16 +196,9 @@ fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
             break;
         }
     }
-    let found: Vec<_> = best
-        .into_iter()
-        .filter(|d| d.is_finite())
-        .map(|d| f64::from(d).sqrt())
-        .collect();
-    if found.is_empty() {
-        f64::INFINITY
-    } else {
-        found.iter().sum::<f64>() / found.len() as f64
-    }
+    let found: Vec<_> =
+        best.into_iter().filter(|d| d.is_finite()).map(|d| f64::from(d).sqrt()).collect();
+    if found.is_empty() { f64::INFINITY } else { found.iter().sum::<f64>() / found.len() as f64 }
 }
 
 #[cfg(test)]
@@ -230,13 +206,8 @@ mod tests {
     use super::*;
     use crate::splat::fixtures::{Random, viewpoint};
 
-    const PLAN: Schedule = Schedule {
-        steps: 100,
-        sh_degree: 2,
-        resolution: false,
-        warm: false,
-        seed: 1,
-    };
+    const PLAN: Schedule =
+        Schedule { steps: 100, sh_degree: 2, resolution: false, warm: false, seed: 1 };
 
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
@@ -293,30 +264,15 @@ mod tests {
         assert_eq!(initialise(&[], &[camera], 40, &PLAN).len(), 20);
         assert!(initialise(&[], &[], 40, &PLAN).is_empty());
         assert_eq!(scene_extent(&[camera], &[]), 1.0);
-        let poisoned = [Point {
-            position: [f32::NAN, 0.0, 0.0],
-            colour: [0; 3],
-        }];
+        let poisoned = [Point { position: [f32::NAN, 0.0, 0.0], colour: [0; 3] }];
         assert!((0..20).all(|i| initialise(&poisoned, &[camera], 40, &PLAN).is_usable(i)));
     }
 
     #[test]
     fn colours_round_trip_through_the_constant_harmonic() {
-        let scene = initialise(
-            &[Point {
-                position: [0.0; 3],
-                colour: [255, 51, 0],
-            }],
-            &[],
-            10,
-            &PLAN,
-        );
+        let scene =
+            initialise(&[Point { position: [0.0; 3], colour: [255, 51, 0] }], &[], 10, &PLAN);
         let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);
-        assert!(
-            colour
-                .iter()
-                .zip([1.0, 0.2, 0.0])
-                .all(|(a, b)| (a - b).abs() < 1e-6)
-        );
+        assert!(colour.iter().zip([1.0, 0.2, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 }

@@ -127,12 +127,7 @@ impl Loss {
     /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu, width: usize, height: usize) -> Result<Self, GpuError> {
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-        Self::with_run(
-            gpu,
-            width,
-            height,
-            if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU },
-        )
+        Self::with_run(gpu, width, height, if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU })
     }
 
     fn with_run(gpu: &Gpu, width: usize, height: usize, run: u32) -> Result<Self, GpuError> {
@@ -170,25 +165,12 @@ impl Loss {
         let invocations = self.layout.invocations();
         recorder.dispatch_items(
             &SIMILARITY,
-            &[
-                &self.size,
-                prediction,
-                target,
-                &self.derivatives,
-                &self.similarity_sums,
-            ],
+            &[&self.size, prediction, target, &self.derivatives, &self.similarity_sums],
             invocations,
         )?;
         recorder.dispatch_items(
             &GRADIENT,
-            &[
-                &self.size,
-                prediction,
-                target,
-                &self.derivatives,
-                gradient,
-                &self.error_sums,
-            ],
+            &[&self.size, prediction, target, &self.derivatives, gradient, &self.error_sums],
             invocations,
         )
     }
@@ -200,23 +182,12 @@ impl Loss {
     /// A device error.
     pub fn value(&self) -> Result<LossValue, GpuError> {
         let n = f64::from(self.layout.values);
-        let ssim = self
-            .similarity_sums
-            .read()?
-            .into_iter()
-            .map(f64::from)
-            .sum::<f64>()
-            / n;
+        let ssim = self.similarity_sums.read()?.into_iter().map(f64::from).sum::<f64>() / n;
         let errors = self.error_sums.read()?;
         let absolute = errors.iter().map(|[absolute, _]| f64::from(*absolute));
         let squares = errors.iter().map(|[_, square]| f64::from(*square));
         let (l1, squared) = (absolute.sum::<f64>() / n, squares.sum::<f64>() / n);
-        Ok(LossValue {
-            total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim),
-            l1,
-            ssim,
-            squared,
-        })
+        Ok(LossValue { total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim), l1, ssim, squared })
     }
 }
 

@@ -111,26 +111,13 @@ impl StepUniform {
     pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, mcmc: bool) -> Self {
         let (relative, haste) = (schedule.means_rate(step), schedule.haste());
         let t = step as i32 + 1;
-        let weight = if mcmc {
-            REGULARISER / count.max(1) as f64
-        } else {
-            0.0
-        };
+        let weight = if mcmc { REGULARISER / count.max(1) as f64 } else { 0.0 };
         // Scales have a length: in units of the extent, a scene takes the same step at any scale.
         let explores = mcmc && schedule.explores(step);
-        let noise = if explores {
-            NOISE * relative / extent
-        } else {
-            0.0
-        };
+        let noise = if explores { NOISE * relative / extent } else { 0.0 };
         Self {
-            rates: [
-                relative * extent,
-                haste * RATE_LOG_SCALE,
-                haste * RATE_QUAT,
-                RATE_OPACITY,
-            ]
-            .map(|v| v as f32),
+            rates: [relative * extent, haste * RATE_LOG_SCALE, haste * RATE_QUAT, RATE_OPACITY]
+                .map(|v| v as f32),
             rate_sh0: (haste * RATE_SH0) as f32,
             rate_sh: (haste * RATE_SH) as f32,
             bias_m: (1.0 / (1.0 - BETA_M.powi(t))) as f32,
@@ -210,11 +197,7 @@ impl Optimizer {
         let (rows, per_part) = (gaussians.capacity, gaussians.sh.per_part());
         let accumulating = PROJECT_BACKWARD_ADAM.with(&[("ACCUMULATE_POSITION", 1)]);
         Ok(Self {
-            update: if accumulates {
-                accumulating
-            } else {
-                PROJECT_BACKWARD_ADAM
-            },
+            update: if accumulates { accumulating } else { PROJECT_BACKWARD_ADAM },
             step: gpu.create("step", 1)?,
             geometry_moments: gpu.create_rows(
                 "geometry moments",
@@ -298,11 +281,8 @@ impl Optimizer {
         let most = gpu.rows_per_part(taken_row * size_of::<f32>());
         // The copied values never change: a source keeps its place, rotation and colour.
         for (moves, shapes) in plan.moves.chunks(most).zip(plan.shapes.chunks(most)) {
-            let uniform = RelocateUniform {
-                rows: moves.len() as u32,
-                sh_row: sh_row as u32,
-                pad: [0; 2],
-            };
+            let uniform =
+                RelocateUniform { rows: moves.len() as u32, sh_row: sh_row as u32, pad: [0; 2] };
             let uniform = gpu.upload("relocation", &[uniform])?;
             let (moves, shapes) = (gpu.upload("moves", moves)?, gpu.upload("shapes", shapes)?);
             let taken = gpu.create::<f32>("taken", moves.len() * taken_row)?;

@@ -33,11 +33,7 @@ impl<'a> Registration<'a> {
         scene: &Gaussians,
         shake: Option<&Response>,
     ) -> Result<Self, ReconstructError> {
-        let purpose = Purpose {
-            shake,
-            capacity: scene.len(),
-            gradients: false,
-        };
+        let purpose = Purpose { shake, capacity: scene.len(), gradients: false };
         Ok(Self {
             model: ForwardModel::new(gpu, views, scene, purpose)?,
             sh_degree: scene.sh_degree,
@@ -55,11 +51,7 @@ impl<'a> Registration<'a> {
         cancel: &CancelToken,
     ) -> Result<Vec<Camera>, ReconstructError> {
         for left in (0..CORRECTIONS).rev() {
-            let how = Correction {
-                depth,
-                degree: self.sh_degree,
-                is_coarse: left > 0,
-            };
+            let how = Correction { depth, degree: self.sh_degree, is_coarse: left > 0 };
             self.model.estimate_shake(self.sh_degree, cancel)?;
             self.model.correct_cameras(how, cancel)?;
         }

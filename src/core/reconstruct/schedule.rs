@@ -95,9 +95,7 @@ impl Schedule {
 
     /// Factor of the rates of scales, quaternions and colours for the length of the round.
     pub fn haste(&self) -> f64 {
-        (PUBLISHED_STEPS / f64::from(self.steps.max(1)))
-            .sqrt()
-            .clamp(1.0, MOST_HASTE)
+        (PUBLISHED_STEPS / f64::from(self.steps.max(1))).sqrt().clamp(1.0, MOST_HASTE)
     }
 
     /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
@@ -137,11 +135,7 @@ impl Schedule {
     /// by.
     pub fn refines_poses(&self, step: u32) -> bool {
         let interval = (self.steps / POSE_CORRECTIONS).max(1);
-        let from = if self.warm {
-            WARM_POSES_FROM
-        } else {
-            POSES_FROM
-        };
+        let from = if self.warm { WARM_POSES_FROM } else { POSES_FROM };
         step.is_multiple_of(interval) && self.share(step) >= from
     }
 
@@ -199,22 +193,14 @@ mod tests {
 
     use super::*;
 
-    const PLAN: Schedule = Schedule {
-        steps: 1_000,
-        sh_degree: 3,
-        resolution: true,
-        warm: false,
-        seed: 7,
-    };
+    const PLAN: Schedule =
+        Schedule { steps: 1_000, sh_degree: 3, resolution: true, warm: false, seed: 7 };
 
     #[test]
     fn resolution_and_degree_grow_at_the_stated_shares() {
         let divisors = [0, 99, 100, 299, 300, 999].map(|step| PLAN.divisor(step));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
-        assert_eq!(
-            [0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)),
-            [0, 0, 1, 2, 3, 3]
-        );
+        assert_eq!([0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)), [0, 0, 1, 2, 3, 3]);
         let warm = Schedule { warm: true, ..PLAN };
         assert_eq!((warm.degree(0), warm.divisor(0)), (3, 1));
         assert_eq!(reduced_size(281, 161, 4), (71, 41));
@@ -223,10 +209,7 @@ mod tests {
 
     #[test]
     fn the_rate_of_the_means_falls_a_hundredfold_over_a_round() {
-        let long = Schedule {
-            steps: 30_000,
-            ..PLAN
-        };
+        let long = Schedule { steps: 30_000, ..PLAN };
         assert!((long.means_rate(0) - 1.6e-4).abs() < 1e-12);
         assert!((long.means_rate(30_000) - 1.6e-6).abs() < 1e-12);
         assert!((Schedule { warm: true, ..long }.means_rate(0) - 0.48e-4).abs() < 1e-12);
@@ -236,12 +219,7 @@ mod tests {
     fn short_rounds_take_larger_steps_up_to_a_limit() {
         let of = |steps| Schedule { steps, ..PLAN };
         assert_eq!(
-            [
-                of(100_000).haste(),
-                of(30_000).haste(),
-                of(7_500).haste(),
-                of(10).haste()
-            ],
+            [of(100_000).haste(), of(30_000).haste(), of(7_500).haste(), of(10).haste()],
             [1.0, 1.0, 2.0, 5.0]
         );
         assert!((of(3_000).means_rate(0) - 1.6e-3).abs() < 1e-12);
@@ -260,12 +238,8 @@ mod tests {
 
     #[test]
     fn streams_and_moments_draw_different_numbers() {
-        let streams = [
-            Stream::ViewOrder,
-            Stream::Densification,
-            Stream::FirstPoints,
-            Stream::Background,
-        ];
+        let streams =
+            [Stream::ViewOrder, Stream::Densification, Stream::FirstPoints, Stream::Background];
         let first = |stream, moment| PLAN.generator(stream, moment).random::<u64>();
         let drawn: BTreeSet<u64> = streams
             .into_iter()
@@ -277,9 +251,7 @@ mod tests {
     #[test]
     fn shake_is_estimated_at_full_resolution() {
         let steps = |plan: Schedule| {
-            (0..1_000)
-                .filter(move |&s| plan.estimates_shake(s))
-                .collect::<Vec<_>>()
+            (0..1_000).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>()
         };
         assert_eq!((steps(PLAN)[0], steps(PLAN).len()), (300, 14));
         let warm = steps(Schedule { warm: true, ..PLAN });
@@ -289,11 +261,8 @@ mod tests {
 
     #[test]
     fn cameras_are_corrected_only_in_later_steps() {
-        let steps = |plan: Schedule| {
-            (0..1_000)
-                .filter(move |&s| plan.refines_poses(s))
-                .collect::<Vec<_>>()
-        };
+        let steps =
+            |plan: Schedule| (0..1_000).filter(move |&s| plan.refines_poses(s)).collect::<Vec<_>>();
         assert_eq!(steps(PLAN), [400, 600, 800]);
         assert_eq!(steps(Schedule { warm: true, ..PLAN }), [200, 400, 600, 800]);
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));

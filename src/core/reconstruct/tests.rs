@@ -27,12 +27,7 @@ fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
     let projection = Projection::new(gpu, gaussians.len()).expect("created");
-    let sizes = SplatSizes {
-        gaussians: gaussians.len(),
-        width,
-        height,
-        intersections: 200_000,
-    };
+    let sizes = SplatSizes { gaussians: gaussians.len(), width, height, intersections: 200_000 };
     let buffers = SplatBuffers::new(gpu, sizes, false).expect("created");
     let degree = gaussians.sh_degree;
     let uniform =
@@ -41,9 +36,7 @@ fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).expect("recorded");
     let forward = Forward::new(Specialisation::for_adapter(gpu.describe()));
-    forward
-        .record(&mut recorder, &projection, &buffers)
-        .expect("recorded");
+    forward.record(&mut recorder, &projection, &buffers).expect("recorded");
     recorder.submit().expect("submitted");
     Image::from_planar(width, height, buffers.image.read().expect("read"))
 }
@@ -66,19 +59,8 @@ fn truth(count: usize, seed: u64) -> Gaussians {
 fn camera_at(angle: f64, width: usize, height: usize) -> Camera {
     let focal = 1.1 * width as f64;
     let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    let intrinsics = Intrinsics {
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx,
-        cy,
-    };
-    let eye = DVec3::new(
-        3.0 * angle.sin(),
-        -0.6 * (2.0 * angle).cos(),
-        -3.0 * angle.cos(),
-    );
+    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
+    let eye = DVec3::new(3.0 * angle.sin(), -0.6 * (2.0 * angle).cos(), -3.0 * angle.cos());
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
 }
 
@@ -178,10 +160,7 @@ fn the_seen_hook_is_called_every_25_steps_without_effect() {
     let steps: Vec<u32> = seen.iter().map(|one| one.step).collect();
     assert_eq!(steps, [25, 50]);
     for one in seen {
-        assert!(
-            one.loss > 0.0 && one.loss < 1.0 && one.gaussians > 0,
-            "{one:?}"
-        );
+        assert!(one.loss > 0.0 && one.loss < 1.0 && one.gaussians > 0, "{one:?}");
     }
 }
 
@@ -210,17 +189,11 @@ fn the_look_hook_sees_the_current_scene_without_effect() {
     let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
     assert!(bytes(&watched.gaussians) == bytes(&alone.gaussians));
     let steps: Vec<u32> = seen.iter().map(|(step, ..)| *step).collect();
-    assert!(
-        [25, 50, 60].iter().all(|step| steps.contains(step)),
-        "{steps:?}"
-    );
+    assert!([25, 50, 60].iter().all(|step| steps.contains(step)), "{steps:?}");
     let lasts = seen.iter().filter(|(_, is_last, _)| *is_last);
     let last: Vec<_> = lasts.collect();
     assert_eq!((last.len(), last[0].0), (1, 60));
-    assert!(
-        last[0].2 == render(&watched.gaussians, &camera),
-        "as it is delivered"
-    );
+    assert!(last[0].2 == render(&watched.gaussians, &camera), "as it is delivered");
     assert!(seen[0].2 != last[0].2, "it has learnt since");
 }
 
@@ -230,10 +203,7 @@ fn two_thousand_gaussians_overfit_one_image() {
     let views = views_of(&scene, &[0.2], [96, 64]);
     let config = config(300, 2_000);
     let result = trained(&views, start(&views, &scene, &config), &config);
-    let quality = psnr(
-        &render(&result.gaussians, &views[0].camera),
-        &views[0].image,
-    );
+    let quality = psnr(&render(&result.gaussians, &views[0].camera), &views[0].image);
     assert!(quality > 33.0, "{quality:.2} dB");
     assert!(result.gaussians.len() <= 2_000 && result.non_finite_gradients == 0);
     assert!(result.final_loss < 0.03, "{}", result.final_loss);
@@ -244,63 +214,39 @@ fn eight_views_of_a_synthetic_scene_predict_held_out_ones() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);
-    let config = TrainConfig {
-        resolution_schedule: true,
-        ..config(800, 1_000)
-    };
+    let config = TrainConfig { resolution_schedule: true, ..config(800, 1_000) };
     let result = trained(&views, start(&views, &scene, &config), &config);
     let held_out = views_of(&scene, &[-0.35, 0.0, 0.33], [96, 64]);
-    let scores: Vec<_> = held_out
-        .iter()
-        .map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image))
-        .collect();
+    let scores: Vec<_> =
+        held_out.iter().map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image)).collect();
     let mean = scores.iter().sum::<f64>() / scores.len() as f64;
-    assert!(
-        mean >= 30.0,
-        "{mean:.2} dB of {scores:?}, {} Gaussians",
-        result.gaussians.len()
-    );
+    assert!(mean >= 30.0, "{mean:.2} dB of {scores:?}, {} Gaussians", result.gaussians.len());
 }
 
 #[test]
 fn equal_seeds_give_equal_bytes_and_other_seeds_do_not() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
-    let config = TrainConfig {
-        resolution_schedule: true,
-        ..config(120, 400)
-    };
+    let config = TrainConfig { resolution_schedule: true, ..config(120, 400) };
     let run = |config: &TrainConfig| {
         bytes(&trained(&views, start(&views, &scene, config), config).gaussians)
     };
     let (first, second) = (run(&config), run(&config));
     assert!(first == second, "two runs of one seed differ");
-    assert!(
-        first
-            != run(&TrainConfig {
-                seed: 4,
-                ..config.clone()
-            }),
-        "the seed changes nothing"
-    );
+    assert!(first != run(&TrainConfig { seed: 4, ..config.clone() }), "the seed changes nothing");
 }
 
 #[test]
 fn a_scene_larger_than_a_binding_trains_to_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [32, 32]);
-    let config = TrainConfig {
-        sh_degree: 3,
-        ..config(120, 500)
-    };
+    let config = TrainConfig { sh_degree: 3, ..config(120, 500) };
     let small = Gpu::binding_at_most("auto", 64 * 1024).expect("an adapter");
     // Adam's moments of the harmonics: 2 x 48 numbers per Gaussian.
     assert_eq!(small.rows_per_part(2 * 48 * 4), 170);
     let begin = || start(&views, &scene, &config);
-    let (whole, parts) = (
-        trained(&views, begin(), &config),
-        trained_on(&small, &views, begin(), &config),
-    );
+    let (whole, parts) =
+        (trained(&views, begin(), &config), trained_on(&small, &views, begin(), &config));
     assert_eq!(whole.gaussians.len(), 500);
     assert!(bytes(&whole.gaussians) == bytes(&parts.gaussians));
 }
@@ -337,9 +283,7 @@ fn a_poisoned_start_neither_spreads_nor_stays_in_the_scene() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(60, 400);
-    let TrainStart::Fresh(mut gaussians) = start(&views, &scene, &config) else {
-        panic!("fresh")
-    };
+    let TrainStart::Fresh(mut gaussians) = start(&views, &scene, &config) else { panic!("fresh") };
     gaussians.means[0][1] = f32::NAN;
     gaussians.quats[1] = [0.0; 4];
     gaussians.log_scales[2] = [3e38; 3];
@@ -383,19 +327,9 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let plan = densify::plan(&rows, 2, &mut random);
     let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
     let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
-    optimizer
-        .relocate(fixtures::gpu(), &device, &plan)
-        .expect("relocated");
+    optimizer.relocate(fixtures::gpu(), &device, &plan).expect("relocated");
     let after = render(&device.download().expect("read"), &camera);
-    let difference: f32 = before
-        .data()
-        .iter()
-        .zip(after.data())
-        .map(|(a, b)| (a - b).abs())
-        .sum();
+    let difference: f32 = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs()).sum();
     let mass: f32 = before.data().iter().sum();
-    assert!(
-        mass > 1.0 && difference <= 0.02 * mass * 3.0,
-        "{difference} of {mass}"
-    );
+    assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
 }

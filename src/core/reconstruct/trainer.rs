@@ -291,10 +291,7 @@ impl Trainer<'_> {
             }),
         };
         let outcome = self.run(&mut hooks);
-        assert!(
-            matches!(outcome, Err(ReconstructError::Cancelled(_))),
-            "it ended"
-        );
+        assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))), "it ended");
         kept
     }
 

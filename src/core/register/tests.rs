@@ -6,14 +6,7 @@ use crate::camera::Intrinsics;
 const DEPTH: f64 = 3.0;
 
 fn camera_at(eye: DVec3) -> Camera {
-    let intrinsics = Intrinsics {
-        width: 96,
-        height: 64,
-        fx: 80.0,
-        fy: 80.0,
-        cx: 48.0,
-        cy: 32.0,
-    };
+    let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
 }
 
@@ -24,26 +17,15 @@ fn seen(camera: &Camera) -> Image {
     let (origin, to_world) = (camera.centre(), camera.rotation().transpose());
     for y in 0..k.height {
         for x in 0..k.width {
-            let ray = DVec3::new(
-                (x as f64 + 0.5 - k.cx) / k.fx,
-                (y as f64 + 0.5 - k.cy) / k.fy,
-                1.0,
-            );
+            let ray =
+                DVec3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0);
             let ray = to_world * ray;
-            let wall = if x < k.width / 2 {
-                -0.3 * DEPTH
-            } else {
-                0.3 * DEPTH
-            };
+            let wall = if x < k.width / 2 { -0.3 * DEPTH } else { 0.3 * DEPTH };
             let point = origin + ray * ((wall - origin.z) / ray.z);
             let value = 0.5
                 + 0.2 * (7.0 * point.x).sin() * (5.0 * point.y).cos()
                 + 0.1 * (11.0 * point.y).sin();
-            image.set(
-                x,
-                y,
-                [value as f32, 0.8 * value as f32, (1.0 - value) as f32],
-            );
+            image.set(x, y, [value as f32, 0.8 * value as f32, (1.0 - value) as f32]);
         }
     }
     image
@@ -51,12 +33,7 @@ fn seen(camera: &Camera) -> Image {
 
 /// Largest distance between the projections of points in front of both cameras, px.
 fn apart(a: &Camera, b: &Camera) -> f64 {
-    let points = [
-        [0.0, 0.0, 1.0],
-        [0.8, 0.4, -0.8],
-        [-0.9, 0.3, 0.5],
-        [0.4, -0.6, -0.5],
-    ];
+    let points = [[0.0, 0.0, 1.0], [0.8, 0.4, -0.8], [-0.9, 0.3, 0.5], [0.4, -0.6, -0.5]];
     let way = |p: &[f64; 3]| {
         let p = DVec3::from(*p);
         (a.project(p).expect("before it").0 - b.project(p).expect("before it").0).length()
@@ -80,18 +57,11 @@ fn corrected(photograph: &Image, given: &Camera, rounds: usize) -> Motion {
 fn a_camera_that_is_a_pixel_off_is_corrected() {
     let truth = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
     let photograph = seen(&truth);
-    for twist in [
-        [0.008, -0.006, 0.004, 0.02, -0.01, 0.03],
-        [0.0, 0.0, -0.01, -0.03, 0.02, 0.0],
-    ] {
+    for twist in [[0.008, -0.006, 0.004, 0.02, -0.01, 0.03], [0.0, 0.0, -0.01, -0.03, 0.02, 0.0]] {
         let given = Motion { twist }.moved(&truth);
         assert!(apart(&given, &truth) > 0.5, "{}", apart(&given, &truth));
         let found = corrected(&photograph, &given, 6).moved(&given);
-        assert!(
-            apart(&found, &truth) < 0.03,
-            "{} px left",
-            apart(&found, &truth)
-        );
+        assert!(apart(&found, &truth) < 0.03, "{} px left", apart(&found, &truth));
     }
 }
 
@@ -112,10 +82,7 @@ fn noise_and_missing_objects_hardly_move_a_camera() {
 #[test]
 fn corrections_are_bounded_and_flat_images_give_none() {
     let truth = camera_at(DVec3::new(0.0, 0.0, -DEPTH));
-    let given = Motion {
-        twist: [0.06, 0.0, 0.0, 0.0, 0.0, 0.0],
-    }
-    .moved(&truth);
+    let given = Motion { twist: [0.06, 0.0, 0.0, 0.0, 0.0, 0.0] }.moved(&truth);
     let far = corrected(&seen(&truth), &given, 1).moved(&given);
     // All six degrees of freedom at their limit.
     assert!(apart(&far, &given) < 6.0, "{}", apart(&far, &given));
@@ -125,15 +92,7 @@ fn corrections_are_bounded_and_flat_images_give_none() {
     assert_eq!(correction(&flat, &flat, &same, &probes), None);
     let mut broken = seen(&truth);
     broken.data_mut()[3_000] = f32::NAN;
-    assert_eq!(
-        correction(
-            &broken,
-            &seen(&truth),
-            &probes.map(|_| seen(&given)),
-            &probes
-        ),
-        None
-    );
+    assert_eq!(correction(&broken, &seen(&truth), &probes.map(|_| seen(&given)), &probes), None);
 }
 
 #[test]
@@ -147,11 +106,8 @@ fn only_the_motion_common_to_all_cameras_is_removed() {
     ];
     let cameras = eyes.map(|eye| camera_at(DVec3::from(eye)));
     let centre = cameras.iter().map(Camera::centre).sum::<DVec3>() / 5.0;
-    let (turn, shift, growth) = (
-        DVec3::new(0.002, -0.001, 0.0015),
-        DVec3::new(0.01, 0.02, -0.005),
-        0.004,
-    );
+    let (turn, shift, growth) =
+        (DVec3::new(0.002, -0.001, 0.0015), DVec3::new(0.01, 0.02, -0.005), 0.004);
     let mut motions = cameras.map(|camera| {
         let arm = camera.centre() - centre;
         Motion::default().plus(&camera_motion(
@@ -176,8 +132,5 @@ fn a_world_motion_round_trips_through_its_twist() {
     let (turned, displaced) = (DVec3::new(1e-4, -2e-4, 3e-4), DVec3::new(-2e-4, 1e-4, 4e-4));
     let motion = Motion::default().plus(&camera_motion(&camera, turned, displaced));
     let (turn, way) = world_motion(&camera, &motion.moved(&camera));
-    assert!(
-        (turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6,
-        "{turn} {way}"
-    );
+    assert!((turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6, "{turn} {way}");
 }

@@ -60,12 +60,7 @@ impl Depth {
         Self {
             width: render.width(),
             height: render.height(),
-            values: render
-                .plane(0)
-                .iter()
-                .zip(render.plane(1))
-                .map(value)
-                .collect(),
+            values: render.plane(0).iter().zip(render.plane(1)).map(value).collect(),
         }
     }
 
@@ -149,10 +144,7 @@ mod tests {
         assert_eq!(depth.at(32, 32), None);
         let picture = depth.picture();
         let [white, dark, black] = [12, 52, 32].map(|x| picture.get(x, 32)[0]);
-        assert!(
-            white > 0.9 && (DARKEST..0.2).contains(&dark),
-            "{white} {dark}"
-        );
+        assert!(white > 0.9 && (DARKEST..0.2).contains(&dark), "{white} {dark}");
         assert_eq!(black, 0.0);
     }
 

@@ -54,10 +54,7 @@ pub struct PictureSize {
 
 impl From<Option<(usize, usize)>> for PictureSize {
     fn from(sides: Option<(usize, usize)>) -> Self {
-        Self {
-            width: sides.map(|(width, _)| width),
-            height: sides.map(|(_, height)| height),
-        }
+        Self { width: sides.map(|(width, _)| width), height: sides.map(|(_, height)| height) }
     }
 }
 
@@ -96,11 +93,7 @@ impl Viewpoint {
                 Ok(fitted(&view.camera(), size))
             }
             Self::Pose(camera) => Ok(fitted(camera, size)),
-            Self::Orbit {
-                azimuth,
-                elevation,
-                distance,
-            } => {
+            Self::Orbit { azimuth, elevation, distance } => {
                 let azimuth = finite("azimuth", *azimuth)?;
                 let elevation = finite("elevation", *elevation)?;
                 let distance = finite("distance", *distance)?;
@@ -118,18 +111,11 @@ impl Viewpoint {
 
 fn unknown(name: &str, cameras: &[NamedCamera]) -> ViewpointError {
     let known: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
-    ViewpointError::UnknownView {
-        name: name.to_owned(),
-        known: known.join(", "),
-    }
+    ViewpointError::UnknownView { name: name.to_owned(), known: known.join(", ") }
 }
 
 fn finite(name: &'static str, value: f64) -> Result<f64, ViewpointError> {
-    if value.is_finite() {
-        Ok(value)
-    } else {
-        Err(ViewpointError::NotFinite(name))
-    }
+    if value.is_finite() { Ok(value) } else { Err(ViewpointError::NotFinite(name)) }
 }
 
 /// The same pose in a picture of another size: one scale for both axes, so that all of the field of
@@ -141,10 +127,7 @@ fn fitted(camera: &Camera, size: PictureSize) -> Camera {
         return *camera;
     }
     let scale = (width as f64 / own.width as f64).min(height as f64 / own.height as f64);
-    let (right, down) = (
-        own.cx - own.width as f64 / 2.0,
-        own.cy - own.height as f64 / 2.0,
-    );
+    let (right, down) = (own.cx - own.width as f64 / 2.0, own.cy - own.height as f64 / 2.0);
     let intrinsics = Intrinsics {
         width,
         height,
@@ -153,10 +136,7 @@ fn fitted(camera: &Camera, size: PictureSize) -> Camera {
         cx: width as f64 / 2.0 + right * scale,
         cy: height as f64 / 2.0 + down * scale,
     };
-    Camera {
-        intrinsics,
-        ..*camera
-    }
+    Camera { intrinsics, ..*camera }
 }
 
 #[cfg(test)]
@@ -167,14 +147,8 @@ mod tests {
     use crate::camera::Split;
 
     fn cameras() -> Vec<NamedCamera> {
-        let intrinsics = Intrinsics {
-            width: 200,
-            height: 100,
-            fx: 150.0,
-            fy: 150.0,
-            cx: 104.0,
-            cy: 47.0,
-        };
+        let intrinsics =
+            Intrinsics { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 104.0, cy: 47.0 };
         let camera = |x: f64| {
             let eye = DVec3::new(x, -0.2, -4.0);
             Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
@@ -187,11 +161,7 @@ mod tests {
     }
 
     fn everywhere() -> [Viewpoint; 3] {
-        let orbit = Viewpoint::Orbit {
-            azimuth: 10.0,
-            elevation: 5.0,
-            distance: 1.0,
-        };
+        let orbit = Viewpoint::Orbit { azimuth: 10.0, elevation: 5.0, distance: 1.0 };
         let pose = Viewpoint::Pose(cameras()[2].camera());
         [Viewpoint::View("b".to_owned()), orbit, pose]
     }
@@ -220,15 +190,9 @@ mod tests {
         let own = cameras()[1].camera();
         let camera = |size| view.camera(&cameras(), size).expect("a camera");
         assert_eq!(camera(PictureSize::default()), own);
-        let width_only = PictureSize {
-            width: Some(100),
-            height: None,
-        };
+        let width_only = PictureSize { width: Some(100), height: None };
         assert_eq!(camera(width_only), own.resized(100, 50));
-        let height_only = PictureSize {
-            width: None,
-            height: Some(200),
-        };
+        let height_only = PictureSize { width: None, height: Some(200) };
         assert_eq!(camera(height_only), own.resized(400, 200));
     }
 
@@ -236,24 +200,16 @@ mod tests {
     fn what_is_no_viewpoint_says_why() {
         let cameras = cameras();
         let why = |viewpoint: Viewpoint, cameras: &[NamedCamera]| {
-            viewpoint
-                .camera(cameras, PictureSize::default())
-                .expect_err("no camera")
+            viewpoint.camera(cameras, PictureSize::default()).expect_err("no camera")
         };
-        let orbit = |azimuth: f64, distance: f64| Viewpoint::Orbit {
-            azimuth,
-            elevation: 0.0,
-            distance,
-        };
+        let orbit =
+            |azimuth: f64, distance: f64| Viewpoint::Orbit { azimuth, elevation: 0.0, distance };
         assert_eq!(
             why(Viewpoint::View("d".to_owned()), &cameras).to_string(),
             "no view `d`; there are a, b, c"
         );
         assert_eq!(why(orbit(0.0, 1.0), &[]), ViewpointError::NoOrbit);
-        assert_eq!(
-            why(orbit(f64::NAN, 1.0), &cameras),
-            ViewpointError::NotFinite("azimuth")
-        );
+        assert_eq!(why(orbit(f64::NAN, 1.0), &cameras), ViewpointError::NotFinite("azimuth"));
         assert_eq!(why(orbit(0.0, 0.0), &cameras), ViewpointError::Distance);
     }
 }

@@ -47,10 +47,7 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
     if render.width().min(render.height()) <= 4 * reach + 2 {
         return ShakeKernel::still();
     }
-    let (from, to) = (
-        Derivatives::of(render, response),
-        Derivatives::of(photograph, response),
-    );
+    let (from, to) = (Derivatives::of(render, response), Derivatives::of(photograph, response));
     let square = 2 * reach + 1;
     let own = Correlation::new(&from, &from, 2 * reach);
     let wanted = Correlation::new(&to, &from, reach);
@@ -84,17 +81,8 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
         .collect();
     let weights = non_negative_least_squares(&matrix, &right);
     let most = weights.iter().copied().fold(0.0, f32::max);
-    let taps = weights
-        .iter()
-        .enumerate()
-        .filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
-    ShakeKernel::new(
-        taps.map(|(tap, &weight)| Tap {
-            offset: offset(tap),
-            weight,
-        })
-        .collect(),
-    )
+    let taps = weights.iter().enumerate().filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
+    ShakeKernel::new(taps.map(|(tap, &weight)| Tap { offset: offset(tap), weight }).collect())
 }
 
 /// Horizontal and vertical differences of the mean light.
@@ -111,22 +99,14 @@ impl Derivatives {
         let data = image.data();
         let light: Vec<f32> = (0..pixels)
             .map(|i| {
-                (0..3)
-                    .map(|c| response.light(f64::from(data[c * pixels + i])) as f32)
-                    .sum::<f32>()
+                (0..3).map(|c| response.light(f64::from(data[c * pixels + i])) as f32).sum::<f32>()
                     / 3.0
             })
             .collect();
         let difference = |step: usize| -> Vec<f32> {
-            (0..pixels)
-                .map(|i| light[(i + step).min(pixels - 1)] - light[i])
-                .collect()
+            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
         };
-        Self {
-            width,
-            height,
-            planes: [difference(1), difference(width)],
-        }
+        Self { width, height, planes: [difference(1), difference(width)] }
     }
 }
 
@@ -146,11 +126,7 @@ impl Correlation {
         let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
         // A correlation with itself is symmetric: half of it suffices.
         let alike = std::ptr::eq(a, b);
-        let needed = if alike {
-            square * square / 2 + 1
-        } else {
-            square * square
-        };
+        let needed = if alike { square * square / 2 + 1 } else { square * square };
         for (at, value) in values.iter_mut().enumerate().take(needed) {
             // u = at - reach, so p - u = p + reach - at.
             let (ux, uy) = (at % square, at / square);
@@ -166,10 +142,7 @@ impl Correlation {
         for at in needed..square * square {
             values[at] = values[square * square - 1 - at];
         }
-        Self {
-            reach: reach as i32,
-            values,
-        }
+        Self { reach: reach as i32, values }
     }
 
     fn at(&self, x: i32, y: i32) -> f64 {
@@ -203,16 +176,11 @@ fn non_negative_least_squares(matrix: &[f32], right: &[f32]) -> Vec<f32> {
     let mut momentum = 1.0_f32;
     for _ in 0..ITERATIONS {
         let gradient = product(&ahead);
-        let next: Vec<f32> = (0..count)
-            .map(|i| (ahead[i] - step * (gradient[i] - right[i])).max(0.0))
-            .collect();
+        let next: Vec<f32> =
+            (0..count).map(|i| (ahead[i] - step * (gradient[i] - right[i])).max(0.0)).collect();
         let following = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
         let push = (momentum - 1.0) / following;
-        ahead = next
-            .iter()
-            .zip(&x)
-            .map(|(new, old)| new + push * (new - old))
-            .collect();
+        ahead = next.iter().zip(&x).map(|(new, old)| new + push * (new - old)).collect();
         (x, momentum) = (next, following);
     }
     x

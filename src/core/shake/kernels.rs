@@ -5,12 +5,7 @@ use fled_gpu::{Kernel, read, read_write, uniform};
 
 pub(super) const LINEARISE: Kernel = Kernel::new(
     "shake/linearise",
-    &[
-        uniform("shake"),
-        read("response"),
-        read("render"),
-        read_write("light"),
-    ],
+    &[uniform("shake"), read("response"), read("render"), read_write("light")],
 );
 
 pub(super) const BLUR: Kernel = Kernel::new(
@@ -25,10 +20,8 @@ pub(super) const BLUR: Kernel = Kernel::new(
     ],
 );
 
-pub(super) const SCALE: Kernel = Kernel::new(
-    "shake/scale",
-    &[uniform("shake"), read("gradient"), read_write("factor")],
-);
+pub(super) const SCALE: Kernel =
+    Kernel::new("shake/scale", &[uniform("shake"), read("gradient"), read_write("factor")]);
 
 pub(super) const BLUR_BACKWARD: Kernel = Kernel::new(
     "shake/blur_backward",

@@ -16,11 +16,7 @@ pub struct ReferenceShake<'a> {
 pub fn shaken_image(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [render.width(), render.height()];
     let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
-    let shake = ReferenceShake {
-        size,
-        kernel,
-        response,
-    };
+    let shake = ReferenceShake { size, kernel, response };
     let shaken = shake.shaken(&values).into_iter();
     Image::from_planar(size[0], size[1], shaken.map(|v| v as f32).collect())
 }
@@ -58,11 +54,7 @@ impl ReferenceShake<'_> {
 
     /// `f(k * f^-1(render))` of a planar render [3, H, W], without the light that leaves the image.
     pub fn shaken(&self, render: &[f64]) -> Vec<f64> {
-        self.arrived(render)
-            .0
-            .into_iter()
-            .map(|light| self.response.value(light))
-            .collect()
+        self.arrived(render).0.into_iter().map(|light| self.response.value(light)).collect()
     }
 
     /// The derivative by the render of `sum(gradient * shaken(render)) + smooth_weight *

@@ -28,9 +28,8 @@ impl Response {
     pub fn through(curve: impl Fn(f32) -> f32) -> Self {
         let at = |n: usize| n as f32 / (SAMPLES - 1) as f32;
         let values: Vec<f32> = (0..SAMPLES).map(|n| curve(at(n))).collect();
-        let half = (1..SAMPLES)
-            .find(|&n| values[n] >= 0.5 * values[SAMPLES - 1])
-            .unwrap_or(SAMPLES - 1);
+        let half =
+            (1..SAMPLES).find(|&n| values[n] >= 0.5 * values[SAMPLES - 1]).unwrap_or(SAMPLES - 1);
         let least = LEAST_SLOPE * (values[half] - values[0]) / half as f32;
         let mut risen = vec![values[0]; SAMPLES];
         for n in 1..SAMPLES {
@@ -70,11 +69,8 @@ impl Response {
 
     /// The encoded value of light: the inverse of [`Response::light`].
     pub fn value(&self, light: f64) -> f64 {
-        let knot = self
-            .light
-            .partition_point(|&l| f64::from(l) <= light)
-            .saturating_sub(1)
-            .min(KNOTS - 2);
+        let knot =
+            self.light.partition_point(|&l| f64::from(l) <= light).saturating_sub(1).min(KNOTS - 2);
         let (low, high) = (f64::from(self.light[knot]), f64::from(self.light[knot + 1]));
         (knot as f64 + (light - low) / (high - low)) / (KNOTS - 1) as f64
     }
@@ -87,11 +83,8 @@ impl Response {
 
     /// Derivative of [`Response::value`].
     pub fn value_slope(&self, light: f64) -> f64 {
-        let knot = self
-            .light
-            .partition_point(|&l| f64::from(l) <= light)
-            .saturating_sub(1)
-            .min(KNOTS - 2);
+        let knot =
+            self.light.partition_point(|&l| f64::from(l) <= light).saturating_sub(1).min(KNOTS - 2);
         1.0 / ((KNOTS - 1) as f64 * (f64::from(self.light[knot + 1]) - f64::from(self.light[knot])))
     }
 }

@@ -30,13 +30,9 @@ pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
         let (numbers, tail) = tail.split_at_checked(TAP_NUMBERS * count)?;
         let (taps, _) = numbers.as_chunks::<TAP_NUMBERS>();
         // Unchanged: normalising again would change the last bit.
-        let tap = |&[x, y, weight]: &[f32; TAP_NUMBERS]| Tap {
-            offset: [x as i32, y as i32],
-            weight,
-        };
-        kernels.push(ShakeKernel {
-            taps: taps.iter().map(tap).collect(),
-        });
+        let tap =
+            |&[x, y, weight]: &[f32; TAP_NUMBERS]| Tap { offset: [x as i32, y as i32], weight };
+        kernels.push(ShakeKernel { taps: taps.iter().map(tap).collect() });
         rest = tail;
     }
     rest.is_empty().then_some(kernels)

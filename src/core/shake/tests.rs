@@ -7,14 +7,8 @@ use crate::image::Image;
 fn curve() -> ShakeKernel {
     let tap = |n: i32| {
         let along = f64::from(n) / 7.0;
-        let offset = [
-            (5.0 * along).round() as i32,
-            (2.0 * (3.0 * along).sin()).round() as i32,
-        ];
-        Tap {
-            offset,
-            weight: if n == 3 { 2.0 } else { 1.0 },
-        }
+        let offset = [(5.0 * along).round() as i32, (2.0 * (3.0 * along).sin()).round() as i32];
+        Tap { offset, weight: if n == 3 { 2.0 } else { 1.0 } }
     };
     let mut taps: Vec<Tap> = (-7..=7).map(tap).collect();
     taps.dedup_by_key(|tap| tap.offset);
@@ -23,13 +17,7 @@ fn curve() -> ShakeKernel {
 
 /// A curve like those of equalisation: steep in the dark, nearly flat above.
 fn response() -> Response {
-    Response::through(|v| {
-        if v < 0.25 {
-            3.2 * v
-        } else {
-            0.8 + 0.2 * (v - 0.25) / 0.75
-        }
-    })
+    Response::through(|v| if v < 0.25 { 3.2 * v } else { 0.8 + 0.2 * (v - 0.25) / 0.75 })
 }
 
 /// Blocks and waves: edges in all directions.
@@ -50,64 +38,37 @@ fn wide(values: &[f32]) -> Vec<f64> {
 
 fn shaken(image: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [image.width(), image.height()];
-    let values = ReferenceShake {
-        size,
-        kernel,
-        response,
-    }
-    .shaken(&wide(image.data()));
-    Image::from_planar(
-        size[0],
-        size[1],
-        values.into_iter().map(|v| v as f32).collect(),
-    )
+    let values = ReferenceShake { size, kernel, response }.shaken(&wide(image.data()));
+    Image::from_planar(size[0], size[1], values.into_iter().map(|v| v as f32).collect())
 }
 
 /// The shaken image and the gradient, each by the device and by the reference.
 fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 2] {
-    let (gpu, size) = (
-        Gpu::new("auto").expect("the tests need a Vulkan adapter"),
-        [61, 43],
-    );
+    let (gpu, size) = (Gpu::new("auto").expect("the tests need a Vulkan adapter"), [61, 43]);
     let render = picture(size[0], size[1]);
-    let upstream: Vec<f32> = (0..render.data().len())
-        .map(|i| (0.37 * i as f32).sin() * 1e-3)
-        .collect();
+    let upstream: Vec<f32> =
+        (0..render.data().len()).map(|i| (0.37 * i as f32).sin() * 1e-3).collect();
     let shake = Shake::new(&gpu, [64, 48], response).expect("buffers");
     let mut view = DeviceKernel::new(&gpu).expect("buffers");
     shake.set(&mut view, size, kernel.clone()).expect("fits");
     let on_device = |values: &[f32]| gpu.upload("image", values).expect("uploaded");
     let (image, gradient) = (on_device(render.data()), on_device(&upstream));
     let mut recorder = gpu.recorder();
-    shake
-        .record_forward(&mut recorder, &view, &image)
-        .expect("recorded");
-    shake
-        .record_backward(&mut recorder, &view, &image, &gradient)
-        .expect("recorded");
+    shake.record_forward(&mut recorder, &view, &image).expect("recorded");
+    shake.record_backward(&mut recorder, &view, &image, &gradient).expect("recorded");
     recorder.submit().expect("submitted");
     let read = |buffer: &Buffer<f32>| buffer.read().expect("read")[..upstream.len()].to_vec();
-    let reference = ReferenceShake {
-        size,
-        kernel,
-        response,
-    };
+    let reference = ReferenceShake { size, kernel, response };
     let values = wide(render.data());
     [
         (read(shake.blurred()), reference.shaken(&values)),
-        (
-            read(shake.render_gradient()),
-            reference.gradient(&values, &wide(&upstream)),
-        ),
+        (read(shake.render_gradient()), reference.gradient(&values, &wide(&upstream))),
     ]
 }
 
 #[test]
 fn image_and_gradient_match_the_reference() {
-    for (kernel, response) in [
-        (curve(), response()),
-        (ShakeKernel::still(), Response::srgb()),
-    ] {
+    for (kernel, response) in [(curve(), response()), (ShakeKernel::still(), Response::srgb())] {
         let [image, gradient] = compare(&kernel, &response);
         assert_agrees("image", &image.0, &image.1, 1e-5);
         assert_agrees("gradient", &gradient.0, &gradient.1, 1e-4);
@@ -116,10 +77,7 @@ fn image_and_gradient_match_the_reference() {
 
 #[test]
 fn the_comparison_detects_a_mirrored_kernel() {
-    let mirrored = |tap: &Tap| Tap {
-        offset: tap.offset.map(|o| -o),
-        ..*tap
-    };
+    let mirrored = |tap: &Tap| Tap { offset: tap.offset.map(|o| -o), ..*tap };
     let other = ShakeKernel::new(curve().taps().iter().map(mirrored).collect());
     let ([image, gradient], [wrong, wrong_gradient]) =
         (compare(&curve(), &response()), compare(&other, &response()));
@@ -130,16 +88,10 @@ fn the_comparison_detects_a_mirrored_kernel() {
 #[test]
 fn the_reference_gradient_matches_central_differences() {
     let (kernel, response, size) = (curve(), response(), [17, 9]);
-    let reference = ReferenceShake {
-        size,
-        kernel: &kernel,
-        response: &response,
-    };
+    let reference = ReferenceShake { size, kernel: &kernel, response: &response };
     // Between the knots of the response, which have no derivative.
-    let render: Vec<f64> = wide(picture(17, 9).data())
-        .iter()
-        .map(|v| (v * 255.0).floor() / 255.0 + 0.002)
-        .collect();
+    let render: Vec<f64> =
+        wide(picture(17, 9).data()).iter().map(|v| (v * 255.0).floor() / 255.0 + 0.002).collect();
     let upstream: Vec<f64> = (0..render.len()).map(|i| (0.7 * i as f64).cos()).collect();
     let gradient = reference.gradient(&render, &upstream);
     for at in [0, 16, 60, 153 + 77, 306 + 152] {
@@ -147,11 +99,7 @@ fn the_reference_gradient_matches_central_differences() {
             let mut moved = render.clone();
             moved[at] = value;
             let shaken = reference.shaken(&moved);
-            shaken
-                .iter()
-                .zip(&upstream)
-                .map(|(s, u)| s * u)
-                .sum::<f64>()
+            shaken.iter().zip(&upstream).map(|(s, u)| s * u).sum::<f64>()
                 + reference.roughness(&moved)
         });
     }
@@ -161,40 +109,18 @@ fn the_reference_gradient_matches_central_differences() {
 fn a_still_kernel_changes_nothing_and_light_is_preserved() {
     let image = picture(40, 30);
     let same = shaken(&image, &ShakeKernel::still(), &response());
-    assert!(
-        image
-            .data()
-            .iter()
-            .zip(same.data())
-            .all(|(a, b)| (a - b).abs() < 1e-5)
-    );
+    assert!(image.data().iter().zip(same.data()).all(|(a, b)| (a - b).abs() < 1e-5));
     let flat = Image::from_planar(40, 30, vec![0.4; 3600]);
-    assert!(
-        shaken(&flat, &curve(), &response())
-            .data()
-            .iter()
-            .all(|v| (v - 0.4).abs() < 1e-5)
-    );
+    assert!(shaken(&flat, &curve(), &response()).data().iter().all(|v| (v - 0.4).abs() < 1e-5));
 }
 
 #[test]
 fn the_response_is_strictly_increasing_and_invertible() {
-    for response in [
-        Response::srgb(),
-        response(),
-        Response::through(|v| (v * 1.7).min(1.0)),
-    ] {
+    for response in [Response::srgb(), response(), Response::through(|v| (v * 1.7).min(1.0))] {
         let knots = response.knots();
-        assert!(
-            knots
-                .windows(2)
-                .all(|pair| pair[0] < pair[1] && pair[1].is_finite())
-        );
+        assert!(knots.windows(2).all(|pair| pair[0] < pair[1] && pair[1].is_finite()));
         for value in [0.0, 0.003, 0.2, 0.55, 0.999, 1.0, 1.3] {
-            assert!(
-                (response.value(response.light(value)) - value).abs() < 1e-6,
-                "{value}"
-            );
+            assert!((response.value(response.light(value)) - value).abs() < 1e-6, "{value}");
         }
     }
 }
@@ -205,39 +131,20 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
     let noisy = |image: &Image| {
         let noise =
             |i: usize| (0.02 * (12.9898 * i as f64).sin() * (78.233 * i as f64).cos()) as f32;
-        let data = image
-            .data()
-            .iter()
-            .enumerate()
-            .map(|(i, v)| v + noise(i))
-            .collect();
+        let data = image.data().iter().enumerate().map(|(i, v)| v + noise(i)).collect();
         Image::from_planar(image.width(), image.height(), data)
     };
     let kernel = curve();
-    let found = estimate(
-        &sharp,
-        &noisy(&shaken(&sharp, &kernel, &response)),
-        &response,
-    );
+    let found = estimate(&sharp, &noisy(&shaken(&sharp, &kernel, &response)), &response);
     // Far taps have a price, so an estimate is slightly too narrow, and never too wide.
     let wide = found.spread() / kernel.spread();
     assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
-    assert!(
-        found.centroid().iter().all(|c| c.abs() < 0.3),
-        "{:?}",
-        found.centroid()
-    );
+    assert!(found.centroid().iter().all(|c| c.abs() < 0.3), "{:?}", found.centroid());
     let weight = |of: &ShakeKernel, offset| {
-        of.taps()
-            .iter()
-            .find(|t| t.offset == offset)
-            .map_or(0.0, |t| t.weight)
+        of.taps().iter().find(|t| t.offset == offset).map_or(0.0, |t| t.weight)
     };
-    let apart: f32 = kernel
-        .taps()
-        .iter()
-        .map(|t| (weight(&found, t.offset) - t.weight).abs())
-        .sum();
+    let apart: f32 =
+        kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight).abs()).sum();
     assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
     let still = estimate(&sharp, &noisy(&sharp), &response);
     assert!(still.spread() < 0.3, "a still photograph: {still:?}");
@@ -245,12 +152,8 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
 
 #[test]
 fn a_halved_kernel_shakes_a_halved_image_alike() {
-    let (sharp, response) = (
-        picture(160, 120)
-            .resize_area(80, 60)
-            .resize_bilinear(160, 120),
-        Response::srgb(),
-    );
+    let (sharp, response) =
+        (picture(160, 120).resize_area(80, 60).resize_bilinear(160, 120), Response::srgb());
     let halved = |image: &Image| image.resize_area(80, 60);
     let right = halved(&shaken(&sharp, &curve(), &response));
     let apart = |image: &Image| {
@@ -259,34 +162,19 @@ fn a_halved_kernel_shakes_a_halved_image_alike() {
     };
     let found = apart(&shaken(&halved(&sharp), &curve().halved(), &response));
     let unshaken = apart(&halved(&sharp));
-    assert!(
-        found < 0.1 * unshaken,
-        "{found} apart, {unshaken} without a kernel"
-    );
+    assert!(found < 0.1 * unshaken, "{found} apart, {unshaken} without a kernel");
 }
 
 #[test]
 fn uninformative_images_have_no_shake() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
-    assert_eq!(
-        estimate(&flat, &flat, &Response::srgb()),
-        ShakeKernel::still()
-    );
+    assert_eq!(estimate(&flat, &flat, &Response::srgb()), ShakeKernel::still());
     let small = picture(9, 9);
-    assert_eq!(
-        estimate(&small, &small, &Response::srgb()),
-        ShakeKernel::still()
-    );
+    assert_eq!(estimate(&small, &small, &Response::srgb()), ShakeKernel::still());
     let mut broken = picture(100, 80);
     broken.data_mut()[500] = f32::NAN;
-    assert_eq!(
-        estimate(&broken, &picture(100, 80), &Response::srgb()),
-        ShakeKernel::still()
-    );
-    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap {
-        offset: [1, 1],
-        weight,
-    });
+    assert_eq!(estimate(&broken, &picture(100, 80), &Response::srgb()), ShakeKernel::still());
+    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap { offset: [1, 1], weight });
     assert_eq!(ShakeKernel::new(bad.to_vec()), ShakeKernel::still());
 }
 
@@ -311,12 +199,7 @@ fn an_image_larger_than_the_buffers_is_refused() {
 
 #[test]
 fn struct_and_constants_match_the_shaders() {
-    let table = [
-        &kernels::LINEARISE,
-        &kernels::BLUR,
-        &kernels::SCALE,
-        &kernels::BLUR_BACKWARD,
-    ];
+    let table = [&kernels::LINEARISE, &kernels::BLUR, &kernels::SCALE, &kernels::BLUR_BACKWARD];
     for kernel in table {
         let (text, found) = kernel.reflect().expect("valid");
         let layout = found.structure("ShakeUniform").expect("declared");

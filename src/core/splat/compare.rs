@@ -13,10 +13,7 @@ pub fn mostly_within(
     if found.len() != expected.len() || found.is_empty() {
         return Err(format!("{} values for {}", found.len(), expected.len()));
     }
-    let differences = found
-        .iter()
-        .zip(expected)
-        .map(|(&a, &b)| (f64::from(a) - b).abs());
+    let differences = found.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs());
     let (mut outliers, mut worst) = (0, 0.0_f64);
     for difference in differences {
         if !difference.is_finite() {
@@ -53,9 +50,7 @@ pub fn gradients_agree(found: &[f64], expected: &[f64]) -> Result<(), String> {
     if relative <= 1e-3 && cosine >= 0.9999 && bias.abs() <= 5e-4 {
         return Ok(());
     }
-    Err(format!(
-        "relative L2 {relative:.2e}, cosine {cosine:.6}, bias {bias:.2e}"
-    ))
+    Err(format!("relative L2 {relative:.2e}, cosine {cosine:.6}, bias {bias:.2e}"))
 }
 
 mod tests {

@@ -25,10 +25,8 @@ impl Random {
 
     /// Uniform in 0..1.
     pub fn unit(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
@@ -42,40 +40,23 @@ impl Random {
 pub fn viewpoint(width: usize, height: usize) -> Viewpoint {
     let focal = width as f64;
     let (cx, cy) = (width as f64 * 0.48, height as f64 * 0.53);
-    let intrinsics = Intrinsics {
-        width,
-        height,
-        fx: focal,
-        fy: focal * 0.97,
-        cx,
-        cy,
-    };
+    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal * 0.97, cx, cy };
     let eye = DVec3::new(0.4, -0.3, -3.0);
     let camera = Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::new(0.1, 1.0, 0.0));
-    Viewpoint {
-        camera,
-        sh_degree: 3,
-        near: 0.1,
-    }
+    Viewpoint { camera, sh_degree: 3, near: 0.1 }
 }
 
 /// `count` random Gaussians around the origin, some of them out of sight.
 pub fn gaussians(count: usize, sh_degree: u32, seed: u64) -> Gaussians {
     let mut random = Random::new(seed);
-    let mut out = Gaussians {
-        sh_degree,
-        ..Gaussians::default()
-    };
+    let mut out = Gaussians { sh_degree, ..Gaussians::default() };
     let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
     for _ in 0..count {
-        out.means
-            .push([1.8, 1.2, 1.0].map(|size| (size * random.signed()) as f32));
-        out.log_scales
-            .push([0; 3].map(|_| (-2.6 + random.signed()) as f32));
+        out.means.push([1.8, 1.2, 1.0].map(|size| (size * random.signed()) as f32));
+        out.log_scales.push([0; 3].map(|_| (-2.6 + random.signed()) as f32));
         out.quats.push([0; 4].map(|_| random.signed() as f32));
         out.opacity_logits.push((2.0 * random.signed()) as f32);
-        out.sh
-            .extend((0..row).map(|_| (0.4 * random.signed()) as f32));
+        out.sh.extend((0..row).map(|_| (0.4 * random.signed()) as f32));
     }
     out
 }

@@ -94,17 +94,13 @@ impl ForwardPass {
     pub fn recorder(&self) -> Result<Recorder, GpuError> {
         let mut recorder = self.gpu.recorder();
         self.projection.record(&mut recorder, &self.gaussians)?;
-        self.forward
-            .record(&mut recorder, &self.projection, &self.buffers)?;
+        self.forward.record(&mut recorder, &self.projection, &self.buffers)?;
         Ok(recorder)
     }
 
     /// Keeps a recording for repeated submission with the current buffers.
     pub fn keep(&self, recorder: Recorder) -> PassRecording {
-        PassRecording {
-            recording: recorder.finish(),
-            generation: self.generation,
-        }
+        PassRecording { recording: recorder.finish(), generation: self.generation }
     }
 
     /// Whether the buffers of a recording are still in use.
@@ -157,10 +153,7 @@ impl ForwardPass {
     /// # Errors
     /// As [`ForwardPass::make_room`].
     pub fn set_room(&mut self, intersections: usize) -> Result<(), GpuError> {
-        let sizes = SplatSizes {
-            intersections,
-            ..self.buffers.sizes()
-        };
+        let sizes = SplatSizes { intersections, ..self.buffers.sizes() };
         self.make_buffers(sizes)
     }
 
@@ -169,11 +162,7 @@ impl ForwardPass {
     /// # Errors
     /// As [`ForwardPass::make_room`].
     pub fn set_size(&mut self, [width, height]: [usize; 2]) -> Result<(), GpuError> {
-        let sizes = SplatSizes {
-            width,
-            height,
-            ..self.buffers.sizes()
-        };
+        let sizes = SplatSizes { width, height, ..self.buffers.sizes() };
         if sizes == self.buffers.sizes() {
             return Ok(());
         }
@@ -189,9 +178,5 @@ impl ForwardPass {
 
 /// The rows of a backward pass are the first to reach the adapter's binding limit.
 fn bounded(gpu: &Gpu, intersections: usize, gradients: bool) -> usize {
-    if gradients {
-        intersections.min(SlotRows::most(gpu))
-    } else {
-        intersections
-    }
+    if gradients { intersections.min(SlotRows::most(gpu)) } else { intersections }
 }

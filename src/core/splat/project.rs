@@ -56,11 +56,8 @@ impl Projection {
         recorder: &mut Recorder,
         gaussians: &DeviceGaussians,
     ) -> Result<(), GpuError> {
-        for ((part, geometry), sh) in gaussians
-            .parts
-            .iter()
-            .zip(gaussians.geometry.parts())
-            .zip(gaussians.sh.parts())
+        for ((part, geometry), sh) in
+            gaussians.parts.iter().zip(gaussians.geometry.parts()).zip(gaussians.sh.parts())
         {
             recorder.dispatch_items(
                 &PROJECT_FORWARD,
@@ -101,29 +98,12 @@ mod tests {
             projection.tile_counts.read(),
             projection.depth_keys.read(),
         );
-        (
-            read.0.expect("read"),
-            read.1.expect("read"),
-            read.2.expect("read"),
-        )
+        (read.0.expect("read"), read.1.expect("read"), read.2.expect("read"))
     }
 
     fn flat(p: &Projected) -> [f64; 12] {
         let ([x, y], [a, b, c], [red, green, blue]) = (p.mean, p.conic, p.colour);
-        [
-            x,
-            y,
-            a,
-            b,
-            c,
-            p.opacity,
-            red,
-            green,
-            blue,
-            p.depth,
-            p.extent[0],
-            p.extent[1],
-        ]
+        [x, y, a, b, c, p.opacity, red, green, blue, p.depth, p.extent[0], p.extent[1]]
     }
 
     /// Number of tiles with a pixel that blending would touch, by testing every pixel.
@@ -154,11 +134,7 @@ mod tests {
                 continue;
             };
             let brute = tiles_by_brute_force(&expected, 144, 96);
-            assert!(
-                counts[i] as usize >= brute,
-                "{i} lost {brute} - {}",
-                counts[i]
-            );
+            assert!(counts[i] as usize >= brute, "{i} lost {brute} - {}", counts[i]);
             (counted, needed) = (counted + counts[i] as usize, needed + brute);
             if counts[i] == 0 {
                 continue;
@@ -176,10 +152,7 @@ mod tests {
         assert!(visible > 150, "{visible} visible");
         // A tile may be counted for a position between its pixel centres: the test is over the box
         // of centres.
-        assert!(
-            counted as f64 <= 1.1 * needed as f64,
-            "{counted} counted, {needed} needed"
-        );
+        assert!(counted as f64 <= 1.1 * needed as f64, "{counted} counted, {needed} needed");
         assert!(relative_l2(&[1.0, 2.0], &[1.0, 2.5]) > 0.1);
     }
 
@@ -196,10 +169,8 @@ mod tests {
         gaussians.opacity_logits[4] = f32::NAN;
         gaussians.means[5] = [0.0, 0.0, -50.0];
         let view = fixtures::viewpoint(64, 48);
-        let (_, counts, keys) = run(
-            &gaussians,
-            &CameraUniform::new(&view.camera, 7, 1, 1, view.near as f32),
-        );
+        let (_, counts, keys) =
+            run(&gaussians, &CameraUniform::new(&view.camera, 7, 1, 1, view.near as f32));
         assert_eq!(counts[..6], [0; 6]);
         assert_eq!(keys[..6], [u32::MAX; 6]);
         assert!(counts[6] > 0);
@@ -216,36 +187,18 @@ mod tests {
     fn the_part_uniform_has_the_shaders_layout() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
         let part = found.structure("PartUniform").expect("declared");
-        let offset = |name: &str| {
-            part.members
-                .iter()
-                .find(|m| m.0 == name)
-                .map(|m| m.1 as usize)
-        };
+        let offset = |name: &str| part.members.iter().find(|m| m.0 == name).map(|m| m.1 as usize);
         assert_eq!(part.size as usize, size_of::<PartUniform>());
-        assert_eq!(
-            offset("first"),
-            Some(std::mem::offset_of!(PartUniform, first))
-        );
-        assert_eq!(
-            offset("rows"),
-            Some(std::mem::offset_of!(PartUniform, rows))
-        );
+        assert_eq!(offset("first"), Some(std::mem::offset_of!(PartUniform, first)));
+        assert_eq!(offset("rows"), Some(std::mem::offset_of!(PartUniform, rows)));
     }
 
     #[test]
     fn the_camera_uniform_has_the_shaders_layout() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
-        let camera = found
-            .structs
-            .iter()
-            .find(|s| s.name == "CameraUniform")
-            .expect("declared");
-        let offsets: Vec<_> = camera
-            .members
-            .iter()
-            .map(|(name, at)| (name.as_str(), *at as usize))
-            .collect();
+        let camera = found.structs.iter().find(|s| s.name == "CameraUniform").expect("declared");
+        let offsets: Vec<_> =
+            camera.members.iter().map(|(name, at)| (name.as_str(), *at as usize)).collect();
         let expected = [
             ("row_x", std::mem::offset_of!(CameraUniform, row_x)),
             ("row_y", std::mem::offset_of!(CameraUniform, row_y)),
@@ -256,10 +209,7 @@ mod tests {
             ("tiles", std::mem::offset_of!(CameraUniform, tiles)),
             ("position", std::mem::offset_of!(CameraUniform, position)),
             ("sh_degree", std::mem::offset_of!(CameraUniform, sh_degree)),
-            (
-                "background",
-                std::mem::offset_of!(CameraUniform, background),
-            ),
+            ("background", std::mem::offset_of!(CameraUniform, background)),
             ("count", std::mem::offset_of!(CameraUniform, count)),
             ("near", std::mem::offset_of!(CameraUniform, near)),
             ("sh_row", std::mem::offset_of!(CameraUniform, sh_row)),

@@ -29,9 +29,7 @@ pub struct Forward {
 
 impl Forward {
     pub fn new(specialisation: Specialisation) -> Self {
-        Self {
-            kernel: specialisation.forward(),
-        }
+        Self { kernel: specialisation.forward() }
     }
 
     /// Records all steps after the projection. `projection.camera` may be rewritten between
@@ -70,9 +68,7 @@ pub struct Backward {
 
 impl Backward {
     pub fn new(specialisation: Specialisation) -> Self {
-        Self {
-            kernel: specialisation.backward(),
-        }
+        Self { kernel: specialisation.backward() }
     }
 
     /// Records the backward pass of a previous [`Forward::record`], for `image_gradient`, planar

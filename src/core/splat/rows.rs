@@ -78,10 +78,7 @@ impl DeviceGaussians {
                 rows: rows as u32,
                 pad: [0; 2],
             };
-            parts.push(Part {
-                uniform: gpu.upload("part", &[uniform])?,
-                rows,
-            });
+            parts.push(Part { uniform: gpu.upload("part", &[uniform])?, rows });
         }
         let out = Self {
             geometry: gpu.create_rows("geometry", capacity, GEOMETRY_ROW, per_part)?,
@@ -91,8 +88,7 @@ impl DeviceGaussians {
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree,
         };
-        out.geometry
-            .write(bytemuck::cast_slice(&pack_geometry(gaussians)))?;
+        out.geometry.write(bytemuck::cast_slice(&pack_geometry(gaussians)))?;
         out.sh.write(&pack_harmonics(gaussians))?;
         Ok(out)
     }
@@ -103,11 +99,7 @@ impl DeviceGaussians {
     /// A device error.
     pub fn download(&self) -> Result<Gaussians, GpuError> {
         let sh = self.sh.read(self.count)?;
-        Ok(unpack_gaussians(
-            &self.read_geometry()?,
-            &sh,
-            self.sh_degree,
-        ))
+        Ok(unpack_gaussians(&self.read_geometry()?, &sh, self.sh_degree))
     }
 
     /// Reads back the geometry of the Gaussians in use.
@@ -131,10 +123,7 @@ fn pack_harmonics(gaussians: &Gaussians) -> Vec<f32> {
     let mut rows = vec![0.0; gaussians.len() * sh_row(gaussians.sh_degree)];
     let used = 3 * gaussians.coefficients();
     let sources = gaussians.sh.chunks_exact(used);
-    for (row, source) in rows
-        .chunks_exact_mut(sh_row(gaussians.sh_degree))
-        .zip(sources)
-    {
+    for (row, source) in rows.chunks_exact_mut(sh_row(gaussians.sh_degree)).zip(sources) {
         row[..used].copy_from_slice(source);
     }
     rows
@@ -155,11 +144,7 @@ pub fn pack_geometry(gaussians: &Gaussians) -> Vec<GeometryRow> {
 /// Gaussians from rows of geometry and of harmonics.
 pub fn unpack_gaussians(rows: &[GeometryRow], sh: &[f32], sh_degree: u32) -> Gaussians {
     let used = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
-    let sh = sh
-        .chunks_exact(sh_row(sh_degree))
-        .flat_map(|row| &row[..used])
-        .copied()
-        .collect();
+    let sh = sh.chunks_exact(sh_row(sh_degree)).flat_map(|row| &row[..used]).copied().collect();
     Gaussians {
         means: rows.iter().map(|row| row.mean).collect(),
         log_scales: rows.iter().map(|row| row.log_scale).collect(),

@@ -14,22 +14,12 @@ pub const FIXED: u32 = u32::MAX;
 /// Exclusive prefix sum of a short array by one workgroup; writes a counter and indirect arguments.
 pub const SCAN: Kernel = Kernel::new(
     "sort/scan",
-    &[
-        uniform("parameters"),
-        read_write("counters"),
-        read_write("values"),
-        read_write("arguments"),
-    ],
+    &[uniform("parameters"), read_write("counters"), read_write("values"), read_write("arguments")],
 );
 /// Digit counts of a block.
 pub const RADIX_COUNT: Kernel = Kernel::new(
     "sort/radix_count",
-    &[
-        uniform("parameters"),
-        read("counters"),
-        read("keys"),
-        read_write("histogram"),
-    ],
+    &[uniform("parameters"), read("counters"), read("keys"), read_write("histogram")],
 );
 /// Moves the pairs of a block.
 pub const RADIX_SCATTER: Kernel = Kernel::new(
@@ -135,20 +125,10 @@ impl RadixSort {
             result_capacity: 0,
             per_block: DIGITS as u32,
         };
-        let pass = |digit| {
-            gpu.upload(
-                "sort pass",
-                &[SortParameters {
-                    shift: 4 * digit,
-                    ..parameters
-                }],
-            )
-        };
+        let pass =
+            |digit| gpu.upload("sort pass", &[SortParameters { shift: 4 * digit, ..parameters }]);
         Ok(Self {
-            keys: [
-                gpu.create("sort keys", capacity)?,
-                gpu.create("sort keys", capacity)?,
-            ],
+            keys: [gpu.create("sort keys", capacity)?, gpu.create("sort keys", capacity)?],
             payloads: [
                 gpu.create("sort payloads", capacity)?,
                 gpu.create("sort payloads", capacity)?,
@@ -190,23 +170,13 @@ impl RadixSort {
             let (from, to) = (i % 2, (i + 1) % 2);
             recorder.dispatch_indirect(
                 &RADIX_COUNT,
-                &[
-                    parameters,
-                    &counters.values,
-                    &self.keys[from],
-                    &self.histogram,
-                ],
+                &[parameters, &counters.values, &self.keys[from], &self.histogram],
                 &counters.arguments,
                 blocks,
             )?;
             recorder.dispatch(
                 &SCAN,
-                &[
-                    &self.scan,
-                    &counters.values,
-                    &self.histogram,
-                    &counters.arguments,
-                ],
+                &[&self.scan, &counters.values, &self.histogram, &counters.arguments],
                 [1, 1, 1],
             )?;
             recorder.dispatch_indirect(
@@ -240,9 +210,7 @@ mod tests {
         let counters = Counters::new(&gpu, 1).unwrap();
         let sort = RadixSort::new(&gpu, n, bits, &counters, 0).unwrap();
         sort.keys().write(keys).unwrap();
-        sort.payloads()
-            .write(&(0..n as u32).collect::<Vec<_>>())
-            .unwrap();
+        sort.payloads().write(&(0..n as u32).collect::<Vec<_>>()).unwrap();
         let total = gpu.upload("total", &[n as u32]).unwrap();
         let parameters = SortParameters {
             shift: 0,
@@ -263,10 +231,7 @@ mod tests {
             .unwrap();
         sort.record(&mut recorder, &counters).unwrap();
         recorder.submit().unwrap();
-        (
-            sort.sorted_keys().read().unwrap(),
-            sort.sorted_payloads().read().unwrap(),
-        )
+        (sort.sorted_keys().read().unwrap(), sort.sorted_payloads().read().unwrap())
     }
 
     fn assert_sorted(keys: &[u32], bits: u32) {
@@ -274,12 +239,7 @@ mod tests {
         expected.sort_by_key(|&i| keys[i as usize]);
         let (found, payloads) = sorted(keys, bits);
         assert!(payloads == expected, "payloads of {} keys", keys.len());
-        assert!(
-            found
-                .iter()
-                .zip(&expected)
-                .all(|(&k, &i)| k == keys[i as usize])
-        );
+        assert!(found.iter().zip(&expected).all(|(&k, &i)| k == keys[i as usize]));
     }
 
     #[test]
@@ -302,10 +262,7 @@ mod tests {
 
     #[test]
     fn descending_single_and_no_keys_are_sorted() {
-        assert_sorted(
-            &(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(),
-            32,
-        );
+        assert_sorted(&(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(), 32);
         assert_sorted(&[u32::MAX], 32);
         assert_sorted(&[], 32);
     }

@@ -154,19 +154,11 @@ fn rug(local: DVec3, part: DVec3, salt: u32) -> DVec3 {
     } else if edge > 0.78 {
         let (at, inside) = cell(flat, 0.12);
         let tooth = (inside - 0.5).abs();
-        if tooth.x + tooth.y < 0.36 {
-            dye(hash(at, salt))
-        } else {
-            DYES[1]
-        }
+        if tooth.x + tooth.y < 0.36 { dye(hash(at, salt)) } else { DYES[1] }
     } else {
         let (at, inside) = cell(DVec2::from_angle(TAU / 8.0).rotate(flat), 0.21);
         let ring = (inside - 0.5).abs().max_element();
-        let layer = if ring < 0.16 {
-            1
-        } else {
-            i32::from(ring < 0.36) + 1
-        };
+        let layer = if ring < 0.16 { 1 } else { i32::from(ring < 0.36) + 1 };
         dye(hash(at * 3 + IVec2::splat(layer), salt))
     };
     colour * (0.65 + 0.6 * rough(flat * 55.0, salt))
@@ -186,10 +178,7 @@ fn framed(base: DVec3, part: DVec3, picture: impl Fn(DVec2) -> DVec3) -> DVec3 {
 fn landscape(at: DVec2, salt: u32) -> DVec3 {
     let clouds = rough(at * DVec2::new(2.0, 5.0), salt);
     let mut colour = DVec3::new(0.55, 0.38, 0.22).lerp(DVec3::new(0.16, 0.28, 0.45), -at.y);
-    colour = colour.lerp(
-        DVec3::new(0.75, 0.62, 0.5),
-        (1.6 * clouds - 0.7).clamp(0.0, 1.0),
-    );
+    colour = colour.lerp(DVec3::new(0.75, 0.62, 0.5), (1.6 * clouds - 0.7).clamp(0.0, 1.0));
     if (at - DVec2::new(0.35, -0.15)).length() < 0.14 {
         colour = DVec3::new(0.85, 0.62, 0.25);
     }
@@ -216,10 +205,7 @@ fn fields(at: DVec2, salt: u32) -> DVec3 {
     let column = ((at.x + 1.0) * 2.2).floor();
     let x = ((at.x + 1.0) * 2.2).fract();
     let height = 1.4 + 1.6 * number(column as i32, salt);
-    let (row, y) = (
-        ((at.y + 1.0) * height).floor(),
-        ((at.y + 1.0) * height).fract(),
-    );
+    let (row, y) = (((at.y + 1.0) * height).floor(), ((at.y + 1.0) * height).fract());
     if x < 0.09 || y < 0.07 {
         return DVec3::splat(0.03);
     }

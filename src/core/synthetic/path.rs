@@ -55,11 +55,7 @@ pub(super) fn shake(
         .iter()
         .enumerate()
         .map(|(index, at)| {
-            let pixels = if travelled > 0.0 {
-                *at * (length / travelled)
-            } else {
-                DVec2::ZERO
-            };
+            let pixels = if travelled > 0.0 { *at * (length / travelled) } else { DVec2::ZERO };
             let angle = turning * pixels / focal;
             let along = index as f64 / (count.max(2) - 1) as f64 - 0.5;
             let turn = DQuat::from_rotation_y(angle.x)

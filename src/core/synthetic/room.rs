@@ -50,10 +50,7 @@ struct Bound {
 }
 
 impl Bound {
-    const EVERYTHING: Self = Self {
-        centre: DVec3::ZERO,
-        radius_squared: f64::INFINITY,
-    };
+    const EVERYTHING: Self = Self { centre: DVec3::ZERO, radius_squared: f64::INFINITY };
 
     fn is_passed_by(&self, origin: DVec3, ray: DVec3, length_squared: f64) -> bool {
         let way = self.centre - origin;
@@ -70,13 +67,7 @@ impl Group {
             let (centre, reach) = (solid.shape.centre(), solid.shape.half().length());
             (low, high) = (low.min(centre - reach), high.max(centre + reach));
             let radius_squared = reach * reach;
-            (
-                Bound {
-                    centre,
-                    radius_squared,
-                },
-                solid,
-            )
+            (Bound { centre, radius_squared }, solid)
         });
         let solids = bounded.collect();
         let ball = Bound {
@@ -94,10 +85,7 @@ impl Group {
     /// A group without bounds: every ray is tested against each solid.
     pub fn everywhere(solids: Vec<Solid>) -> Self {
         let unbounded = solids.into_iter().map(|solid| (Bound::EVERYTHING, solid));
-        Self {
-            ball: Bound::EVERYTHING,
-            solids: unbounded.collect(),
-        }
+        Self { ball: Bound::EVERYTHING, solids: unbounded.collect() }
     }
 }
 
@@ -126,11 +114,7 @@ impl Room {
         }
         Self {
             groups: vec![Group::everywhere(solids)],
-            lamps: vec![Lamp {
-                place: LAMP,
-                colour: DVec3::ONE,
-                white_at: WHITE_AT,
-            }],
+            lamps: vec![Lamp { place: LAMP, colour: DVec3::ONE, white_at: WHITE_AT }],
             ambient: DVec3::splat(AMBIENT),
             scale,
             wallpapers: Vec::new(),
@@ -150,15 +134,9 @@ impl Room {
         for y in 0..height {
             for x in 0..width {
                 let corner = DVec2::new(x as f64, y as f64);
-                let sum: DVec3 = offsets
-                    .iter()
-                    .map(|offset| self.trace(camera, corner + *offset).1)
-                    .sum();
-                image.set(
-                    x,
-                    y,
-                    (sum / offsets.len() as f64).to_array().map(|v| v as f32),
-                );
+                let sum: DVec3 =
+                    offsets.iter().map(|offset| self.trace(camera, corner + *offset).1).sum();
+                image.set(x, y, (sum / offsets.len() as f64).to_array().map(|v| v as f32));
             }
         }
         image
@@ -189,8 +167,7 @@ impl Room {
 
     /// The first hit of a ray.
     fn nearest(&self, origin: DVec3, ray: DVec3) -> Option<(&Solid, Hit)> {
-        self.met(origin, ray)
-            .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
+        self.met(origin, ray).min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
     }
 
     /// All hits of a ray, unordered.
@@ -215,9 +192,8 @@ impl Room {
                 return DVec3::ZERO;
             }
             let from = point + normal * 1e-6;
-            let is_hidden = self
-                .met(from, way)
-                .any(|(solid, hit)| hit.distance < 1.0 && !solid.coat.glows());
+            let is_hidden =
+                self.met(from, way).any(|(solid, hit)| hit.distance < 1.0 && !solid.coat.glows());
             if is_hidden {
                 return DVec3::ZERO;
             }
@@ -243,15 +219,10 @@ impl Room {
     }
 
     fn depths(&self, camera: &Camera) -> Vec<f64> {
-        let size = DVec2::new(
-            camera.intrinsics.width as f64,
-            camera.intrinsics.height as f64,
-        );
+        let size = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64);
         let pixel =
             |i: usize| DVec2::new((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5) / 24.0 * size;
-        (0..24 * 24)
-            .map(|i| self.trace(camera, pixel(i)).0)
-            .collect()
+        (0..24 * 24).map(|i| self.trace(camera, pixel(i)).0).collect()
     }
 }
 
@@ -259,16 +230,10 @@ fn redecorate(solids: &mut [Solid], rng: &mut Pcg64Mcg) {
     for solid in solids {
         solid.coat.base = std::array::from_fn(|_| rng.random_range(0.08..0.55));
         solid.coat.salt = rng.random();
-        let moved = DVec3::new(
-            rng.random_range(-0.25..0.25),
-            0.0,
-            rng.random_range(-0.25..0.25),
-        );
+        let moved = DVec3::new(rng.random_range(-0.25..0.25), 0.0, rng.random_range(-0.25..0.25));
         let grown = rng.random_range(0.8..1.2);
         match &mut solid.shape {
-            Shape::Block {
-                centre, half, turn, ..
-            } => {
+            Shape::Block { centre, half, turn, .. } => {
                 let half = *half * DVec3::new(grown, 1.0, rng.random_range(0.8..1.2));
                 let turn = *turn + rng.random_range(-1.0..1.0);
                 solid.shape = Shape::block(*centre + moved, half, turn);
@@ -283,18 +248,10 @@ fn redecorate(solids: &mut [Solid], rng: &mut Pcg64Mcg) {
 }
 
 fn first() -> Vec<Solid> {
-    let solid = |shape, base, salt| Solid {
-        shape,
-        coat: Coat {
-            paint: Paint::Patterned,
-            base,
-            salt,
-        },
-    };
-    let walls = Shape::Walls {
-        centre: DVec3::new(0.0, -1.0, 0.0),
-        half: DVec3::new(4.6, 2.4, 4.2),
-    };
+    let solid =
+        |shape, base, salt| Solid { shape, coat: Coat { paint: Paint::Patterned, base, salt } };
+    let walls =
+        Shape::Walls { centre: DVec3::new(0.0, -1.0, 0.0), half: DVec3::new(4.6, 2.4, 4.2) };
     let mut solids = vec![solid(walls, [0.32, 0.29, 0.25], 1)];
     let blocks = [
         ([-1.1, 0.8, 0.3], [0.5, 0.6, 0.4], 0.5, [0.5, 0.2, 0.15]),
@@ -314,10 +271,7 @@ fn first() -> Vec<Solid> {
         ([1.5, 1.1, -0.5], 0.3, [0.15, 0.4, 0.4]),
     ];
     for (index, (centre, radius, base)) in balls.into_iter().enumerate() {
-        let shape = Shape::Ball {
-            centre: DVec3::from(centre),
-            radius,
-        };
+        let shape = Shape::Ball { centre: DVec3::from(centre), radius };
         solids.push(solid(shape, base, 101 + 7 * index as u32));
     }
     solids
@@ -335,10 +289,7 @@ mod tests {
     fn light_falls_with_the_squared_distance_and_the_cosine() {
         let room = Room::numbered(0);
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP).x, 3.6);
-        assert!(
-            (below - (WHITE_AT / height).powi(2)).abs() < 1e-9,
-            "{below}"
-        );
+        assert!((below - (WHITE_AT / height).powi(2)).abs() < 1e-9, "{below}");
         let aside = BELOW_THE_LAMP - DVec3::new(0.0, 0.0, 1.8);
         let expected = WHITE_AT.powi(2) * height / (height * height + 1.8 * 1.8).powf(1.5);
         assert!((room.lamp_light(aside, UP).x - expected).abs() < 1e-9);
@@ -350,9 +301,7 @@ mod tests {
         let mut room = Room::numbered(0);
         assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), DVec3::ZERO);
         let solids = &mut room.groups[0].solids;
-        solids
-            .iter_mut()
-            .for_each(|(_, solid)| solid.coat.paint = Paint::Glow);
+        solids.iter_mut().for_each(|(_, solid)| solid.coat.paint = Paint::Glow);
         assert!(room.lamp_light(BEHIND_A_BLOCK, UP).x > 0.3);
     }
 

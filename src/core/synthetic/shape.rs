@@ -16,11 +16,7 @@ pub(super) enum Shape {
     /// A ball.
     Ball { centre: DVec3, radius: f64 },
     /// A ball stretched along the axes of its own frame; `frame` maps to the world.
-    Ellipsoid {
-        centre: DVec3,
-        half: DVec3,
-        frame: DMat3,
-    },
+    Ellipsoid { centre: DVec3, half: DVec3, frame: DMat3 },
     /// The inside of a box: the room's walls.
     Walls { centre: DVec3, half: DVec3 },
 }
@@ -42,29 +38,17 @@ pub(super) struct Hit {
 impl Shape {
     /// A box with these `half` sides, rotated about the vertical.
     pub fn block(centre: DVec3, half: DVec3, turn: f64) -> Self {
-        Self::Block {
-            centre,
-            half,
-            turn,
-            frame: DMat3::from_rotation_y(turn),
-        }
+        Self::Block { centre, half, turn, frame: DMat3::from_rotation_y(turn) }
     }
 
     /// The first hit in front of the origin.
     pub fn meet(&self, origin: DVec3, ray: DVec3) -> Option<Hit> {
         match *self {
             Self::Ball { centre, radius } => meet_ball(origin - centre, ray, radius),
-            Self::Ellipsoid {
-                centre,
-                half,
-                frame,
-            } => {
+            Self::Ellipsoid { centre, half, frame } => {
                 let inside = frame.transpose();
                 let hit = meet_ellipsoid(inside * (origin - centre), inside * ray, half)?;
-                Some(Hit {
-                    normal: frame * hit.normal,
-                    ..hit
-                })
+                Some(Hit { normal: frame * hit.normal, ..hit })
             }
             Self::Walls { centre, half } => {
                 let (_, (far, axis)) = slabs(origin - centre, ray, half)?;
@@ -72,25 +56,15 @@ impl Shape {
                 hit.normal = -hit.normal;
                 Some(hit)
             }
-            Self::Block {
-                centre,
-                half,
-                frame,
-                ..
-            } => {
-                let (origin, ray) = (
-                    frame.transpose() * (origin - centre),
-                    frame.transpose() * ray,
-                );
+            Self::Block { centre, half, frame, .. } => {
+                let (origin, ray) =
+                    (frame.transpose() * (origin - centre), frame.transpose() * ray);
                 let ((near, axis), (far, _)) = slabs(origin, ray, half)?;
                 if near <= 1e-6 || near > far {
                     return None;
                 }
                 let hit = face(origin, ray, near, axis);
-                Some(Hit {
-                    normal: frame * hit.normal,
-                    ..hit
-                })
+                Some(Hit { normal: frame * hit.normal, ..hit })
             }
         }
     }
@@ -156,13 +130,7 @@ fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
     let distance = (-b - discriminant.sqrt()) / a;
     let normal = (origin + ray * distance) / radius;
     let surface = DVec2::new(normal.z.atan2(normal.x), normal.y.clamp(-1.0, 1.0).asin()) * radius;
-    (distance > 1e-6).then_some(Hit {
-        distance,
-        normal,
-        surface,
-        local: normal * radius,
-        face: 0,
-    })
+    (distance > 1e-6).then_some(Hit { distance, normal, surface, local: normal * radius, face: 0 })
 }
 
 fn meet_ellipsoid(origin: DVec3, ray: DVec3, half: DVec3) -> Option<Hit> {
@@ -185,11 +153,7 @@ mod tests {
     fn an_ellipsoids_hits_and_normals_follow_its_surface() {
         let frame = DMat3::from_rotation_z(0.7) * DMat3::from_rotation_y(-0.4);
         let (centre, half) = (DVec3::new(0.3, -0.2, 2.0), DVec3::new(0.5, 0.2, 0.9));
-        let shape = Shape::Ellipsoid {
-            centre,
-            half,
-            frame,
-        };
+        let shape = Shape::Ellipsoid { centre, half, frame };
         let level = |point: DVec3| (frame.transpose() * (point - centre) / half).length();
         let (mut met, step) = (0, 1e-5);
         for aside in -4..=4 {

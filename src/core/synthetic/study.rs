@@ -17,10 +17,8 @@ use builder::Builder;
 /// The room. It is always the same: a seed changes only path and shake.
 pub(super) fn study() -> Room {
     let mut builder = Builder::new();
-    let walls = Shape::Walls {
-        centre: DVec3::new(0.0, -0.2, -0.7),
-        half: DVec3::new(3.4, 1.6, 3.6),
-    };
+    let walls =
+        Shape::Walls { centre: DVec3::new(0.0, -0.2, -0.7), half: DVec3::new(3.4, 1.6, 3.6) };
     let walls = vec![builder.solid(walls, Paint::Walls, [0.5; 3])];
     let mut groups = vec![Group::everywhere(walls)];
     type Piece = fn(&mut Builder);
@@ -75,24 +73,14 @@ mod tests {
     fn the_study_is_always_the_same_and_within_its_walls() {
         let (one, other) = (study(), study());
         let solids = |room: &Room| -> Vec<Solid> {
-            room.groups
-                .iter()
-                .flat_map(Group::solids)
-                .copied()
-                .collect()
+            room.groups.iter().flat_map(Group::solids).copied().collect()
         };
-        assert_eq!(
-            format!("{:?}", solids(&one)),
-            format!("{:?}", solids(&other))
-        );
+        assert_eq!(format!("{:?}", solids(&one)), format!("{:?}", solids(&other)));
         let inside = solids(&one).split_off(1);
         assert!(inside.len() > 150, "{} solids", inside.len());
         for solid in &inside {
             let centre = solid.shape.centre();
-            assert!(
-                centre.x.abs() < 3.4 && centre.y < 1.4 && centre.y > -1.8,
-                "{solid:?}"
-            );
+            assert!(centre.x.abs() < 3.4 && centre.y < 1.4 && centre.y > -1.8, "{solid:?}");
             assert!(centre.z < 2.9 && centre.z > -4.3, "{solid:?}");
         }
     }

@@ -9,13 +9,7 @@ use crate::poses::bounds::read_poses_bounds;
 use crate::poses::{PoseRequest, PoseView, Sfm};
 
 fn small(seed: u64) -> SynthOptions {
-    SynthOptions {
-        views: 3,
-        width: 64,
-        height: 36,
-        seed,
-        ..SynthOptions::default()
-    }
+    SynthOptions { views: 3, width: 64, height: 36, seed, ..SynthOptions::default() }
 }
 
 fn load(dir: &Path, file: &str) -> Image<Srgb> {
@@ -29,10 +23,8 @@ fn equal_seeds_give_equal_bytes_and_other_seeds_do_not() {
         generate(&small(seed), dir.path()).unwrap();
     }
     for file in ["images/001.png", "HL/001.png", "poses_bounds.npy"] {
-        let bytes: Vec<_> = dirs
-            .iter()
-            .map(|dir| std::fs::read(dir.path().join(file)).unwrap())
-            .collect();
+        let bytes: Vec<_> =
+            dirs.iter().map(|dir| std::fs::read(dir.path().join(file)).unwrap()).collect();
         assert!(bytes[0] == bytes[1], "{file}");
         assert!(bytes[0] != bytes[2], "{file}");
     }
@@ -47,11 +39,7 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_exact() {
     for ((name, camera), row) in summary.cameras.iter().zip(rows) {
         let row = row.unwrap();
         assert!(dir.path().join(format!("images/{name}.png")).is_file());
-        assert!(
-            row.camera
-                .world_to_camera
-                .abs_diff_eq(camera.world_to_camera, 1e-9)
-        );
+        assert!(row.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
         assert!(row.near > 0.1 && row.far < 20.0 && row.near < row.far);
     }
 }
@@ -61,25 +49,14 @@ fn every_layout_round_trips_with_truth_and_cameras() {
     for layout in Layout::ALL {
         let dir = tempfile::tempdir().unwrap();
         // Photographs of a capture need at least 64 px.
-        let options = SynthOptions {
-            layout,
-            height: 64,
-            ..small(5)
-        };
+        let options = SynthOptions { layout, height: 64, ..small(5) };
         let summary = generate(&options, dir.path()).unwrap();
         let capture = Capture::open(dir.path(), dir.path()).unwrap();
-        assert!(
-            capture.views.iter().all(|view| view.gt.is_some()),
-            "{layout:?}"
-        );
+        assert!(capture.views.iter().all(|view| view.gt.is_some()), "{layout:?}");
         let given =
             GivenPoses::open(capture.poses.as_ref().unwrap().path(), &capture.photographs).unwrap();
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-        let request = PoseRequest {
-            views: &views,
-            work_dir: dir.path(),
-            seed: 0,
-        };
+        let request = PoseRequest { views: &views, work_dir: dir.path(), seed: 0 };
         let poses = given.poses(&request, &mut Silent, &CancelToken::default());
         let poses = poses.unwrap();
         assert_eq!(poses.views.len(), 3, "{layout:?}");
@@ -96,78 +73,40 @@ fn every_layout_round_trips_with_truth_and_cameras() {
 fn every_view_has_near_neighbours_on_both_sides() {
     let options = SynthOptions::default();
     let cameras = path::cameras(options.views, options.intrinsics(), 7);
-    let gap = |i: usize| {
-        cameras[i]
-            .centre()
-            .distance(cameras[(i + 1) % cameras.len()].centre())
-    };
+    let gap = |i: usize| cameras[i].centre().distance(cameras[(i + 1) % cameras.len()].centre());
     let gaps: Vec<f64> = (0..cameras.len()).map(gap).collect();
     let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
-    assert!(
-        gaps.iter().all(|&gap| gap < 2.0 * mean),
-        "the loop is open: {gaps:?}"
-    );
+    assert!(gaps.iter().all(|&gap| gap < 2.0 * mean), "the loop is open: {gaps:?}");
 }
 
 #[test]
 fn without_blur_and_noise_the_dark_image_is_the_scaled_truth() {
     let dir = tempfile::tempdir().unwrap();
-    let options = SynthOptions {
-        blur: 0.0,
-        noise: 0.0,
-        exposure: 0.25,
-        ..small(5)
-    };
+    let options = SynthOptions { blur: 0.0, noise: 0.0, exposure: 0.25, ..small(5) };
     generate(&options, dir.path()).unwrap();
     let truth = load(dir.path(), "HL/001.png");
     let cut = truth.to_linear().map(|v| 0.25 * v).to_srgb();
     let dark = load(dir.path(), "images/001.png");
     // Only the sampling and the dark image's 8 bits remain.
     let unexposed = psnr(&dark, &truth);
-    assert!(
-        psnr(&dark, &cut) > unexposed + 8.0,
-        "{} {unexposed}",
-        psnr(&dark, &cut)
-    );
+    assert!(psnr(&dark, &cut) > unexposed + 8.0, "{} {unexposed}", psnr(&dark, &cut));
 }
 
 #[test]
 fn blur_and_noise_each_degrade_the_image() {
     let dir = tempfile::tempdir().unwrap();
     let distance = |blur, noise| {
-        generate(
-            &SynthOptions {
-                blur,
-                noise,
-                exposure: 1.0,
-                ..small(6)
-            },
-            dir.path(),
-        )
-        .unwrap();
-        psnr(
-            &load(dir.path(), "images/001.png"),
-            &load(dir.path(), "HL/001.png"),
-        )
+        generate(&SynthOptions { blur, noise, exposure: 1.0, ..small(6) }, dir.path()).unwrap();
+        psnr(&load(dir.path(), "images/001.png"), &load(dir.path(), "HL/001.png"))
     };
     let (plain, blurred, noisy) = (distance(0.0, 0.0), distance(6.0, 0.0), distance(0.0, 0.2));
-    assert!(
-        blurred < plain - 1.0 && noisy < plain - 1.0,
-        "{plain} {blurred} {noisy}"
-    );
+    assert!(blurred < plain - 1.0 && noisy < plain - 1.0, "{plain} {blurred} {noisy}");
 }
 
 #[test]
 fn options_out_of_range_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    let error = generate(
-        &SynthOptions {
-            exposure: 0.0,
-            ..small(0)
-        },
-        dir.path(),
-    )
-    .unwrap_err();
+    let error = generate(&SynthOptions { exposure: 0.0, ..small(0) }, dir.path()).unwrap_err();
     assert!(error.to_string().contains("exposure"));
 }
 
@@ -178,31 +117,22 @@ fn numbered_rooms_differ_and_are_reproducible() {
         let room = RoomChoice::Numbered(number);
         generate(&SynthOptions { room, ..small(1) }, dir.path()).unwrap();
     }
-    let bytes: Vec<_> = dirs
-        .iter()
-        .map(|dir| std::fs::read(dir.path().join("HL/001.png")).unwrap())
-        .collect();
+    let bytes: Vec<_> =
+        dirs.iter().map(|dir| std::fs::read(dir.path().join("HL/001.png")).unwrap()).collect();
     assert!(bytes[1] == bytes[2] && bytes[0] != bytes[1] && bytes[1] != bytes[3]);
     let mean = |dir: &tempfile::TempDir| {
         let image = load(dir.path(), "HL/001.png");
         image.data().iter().sum::<f32>() / image.data().len() as f32
     };
     for dir in &dirs {
-        assert!(
-            (0.15..0.7).contains(&mean(dir)),
-            "as bright as a room: {}",
-            mean(dir)
-        );
+        assert!((0.15..0.7).contains(&mean(dir)), "as bright as a room: {}", mean(dir));
     }
 }
 
 #[test]
 fn a_papered_room_shows_its_photographs() {
     let (wallpapers, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let wallpapered = || SynthOptions {
-        wallpapers: Some(wallpapers.path().into()),
-        ..small(1)
-    };
+    let wallpapered = || SynthOptions { wallpapers: Some(wallpapers.path().into()), ..small(1) };
     let error = generate(&wallpapered(), dir.path()).unwrap_err();
     assert!(error.to_string().contains("no photograph"), "{error}");
     let mut red = Image::<Srgb>::new(8, 8);
@@ -223,18 +153,8 @@ fn the_study_is_chosen_by_name_lit_and_full_of_detail() {
     let room: RoomChoice = "study".parse().unwrap();
     assert_eq!(room, RoomChoice::Study);
     assert_eq!("12".parse(), Ok(RoomChoice::Numbered(12)));
-    assert!(
-        "cellar"
-            .parse::<RoomChoice>()
-            .unwrap_err()
-            .contains("study")
-    );
-    let options = SynthOptions {
-        room,
-        width: 160,
-        height: 90,
-        ..small(1)
-    };
+    assert!("cellar".parse::<RoomChoice>().unwrap_err().contains("study"));
+    let options = SynthOptions { room, width: 160, height: 90, ..small(1) };
     generate(&options, dir.path()).unwrap();
     let image = load(dir.path(), "HL/001.png");
     let values = image.data();

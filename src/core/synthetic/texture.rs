@@ -60,11 +60,7 @@ fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
         false => offset.abs().max_element() < 0.8 * radius,
     };
     within.then(|| {
-        let tone = if random(6) < 0.5 {
-            0.03 + 0.12 * random(7)
-        } else {
-            0.55 + 0.4 * random(7)
-        };
+        let tone = if random(6) < 0.5 { 0.03 + 0.12 * random(7) } else { 0.55 + 0.4 * random(7) };
         [random(8), random(9), random(10)].map(|tint| tone * (0.6 + 0.4 * tint))
     })
 }
@@ -103,13 +99,8 @@ pub(super) fn wallpaper(
         turned.min(2.0 * side - turned)
     };
     let texels = p / (TEXEL * scale) + 1000.0 * DVec2::new(random(1), random(2));
-    let (x, y) = (
-        along(texels.x, photograph.width()),
-        along(texels.y, photograph.height()),
-    );
-    photograph
-        .sample(x as f32, y as f32)
-        .map(|value| WALLPAPER_WHITE * f64::from(value))
+    let (x, y) = (along(texels.x, photograph.width()), along(texels.y, photograph.height()));
+    photograph.sample(x as f32, y as f32).map(|value| WALLPAPER_WHITE * f64::from(value))
 }
 
 /// Side of a photograph's pixel on a wall, world units.
@@ -148,24 +139,14 @@ mod tests {
         for step in 0..300 {
             let p = 0.001 * f64::from(step) * DVec2::ONE;
             let (a, b) = (at(p), at(p + 0.001));
-            let apart = a
-                .iter()
-                .zip(b)
-                .map(|(a, b)| (a - b).abs())
-                .fold(0.0, f64::max);
+            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             assert!(apart < 0.1 * 0.4 * WALLPAPER_WHITE + 1e-6, "{apart} at {p}");
         }
-        let reds: Vec<f64> = (0..100)
-            .map(|i| at(DVec2::new(0.003 * f64::from(i), 0.0))[0])
-            .collect();
-        let (low, high) = (
-            reds.iter().copied().fold(1.0, f64::min),
-            reds.iter().copied().fold(0.0, f64::max),
-        );
-        assert!(
-            low < 0.01 && high > 0.7,
-            "the whole photograph is shown: {low} to {high}"
-        );
+        let reds: Vec<f64> =
+            (0..100).map(|i| at(DVec2::new(0.003 * f64::from(i), 0.0))[0]).collect();
+        let (low, high) =
+            (reds.iter().copied().fold(1.0, f64::min), reds.iter().copied().fold(0.0, f64::max));
+        assert!(low < 0.01 && high > 0.7, "the whole photograph is shown: {low} to {high}");
         let grey = Image::from_planar(1, 1, vec![0.5; 3]);
         assert_eq!(wallpaper(DVec2::new(-3.0, 8.0), &[grey], 1, 1.0), [0.45; 3]);
     }

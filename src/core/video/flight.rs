@@ -42,11 +42,7 @@ pub(super) fn arc(orbit: &Orbit, cameras: &[NamedCamera]) -> f64 {
 /// Degrees around the scene at a share of the time: evenly all around, or in a swing to the right,
 /// to the left and back, which is slow where it turns. The end is the beginning.
 pub(super) fn azimuth(degrees: f64, share: f64) -> f64 {
-    if degrees >= 360.0 {
-        360.0 * share
-    } else {
-        degrees / 2.0 * (TAU * share).sin()
-    }
+    if degrees >= 360.0 { 360.0 * share } else { degrees / 2.0 * (TAU * share).sin() }
 }
 
 /// So many cameras on the way through those of the photographs, at a constant speed; `None` where
@@ -92,15 +88,8 @@ pub(super) fn through(
         let piece = piece.clamp(1, pieces) - 1;
         let length = lengths[piece + 1] - lengths[piece];
         let within = wanted - lengths[piece];
-        let share = if length > 0.0 {
-            (within / length).clamp(0.0, 1.0)
-        } else {
-            0.0
-        };
-        camera(
-            intrinsics,
-            spline.at(time(piece) * (1.0 - share) + time(piece + 1) * share),
-        )
+        let share = if length > 0.0 { (within / length).clamp(0.0, 1.0) } else { 0.0 };
+        camera(intrinsics, spline.at(time(piece) * (1.0 - share) + time(piece + 1) * share))
     };
     Some((0..frames).map(frame).collect())
 }

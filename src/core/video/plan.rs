@@ -103,10 +103,7 @@ pub struct PlanError {
 
 impl PlanError {
     fn new(field: &'static str, message: impl Into<String>) -> Self {
-        Self {
-            field,
-            message: message.into(),
-        }
+        Self { field, message: message.into() }
     }
 }
 
@@ -152,11 +149,7 @@ impl Plan {
     /// [`PlanError`] for the first thing that is not.
     pub fn check(&self) -> Result<(), PlanError> {
         let of_kinds: [(&'static str, bool, &[Kind]); 5] = [
-            (
-                "seconds",
-                self.seconds.is_some(),
-                &[Kind::Orbit, Kind::Cameras],
-            ),
+            ("seconds", self.seconds.is_some(), &[Kind::Orbit, Kind::Cameras]),
             ("degrees", self.degrees.is_some(), &[Kind::Orbit]),
             ("elevation", self.elevation.is_some(), &[Kind::Orbit]),
             ("distance", self.distance.is_some(), &[Kind::Orbit]),

@@ -9,14 +9,7 @@ use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
 use crate::image::{Image, Srgb};
 
-const K: Intrinsics = Intrinsics {
-    width: 96,
-    height: 64,
-    fx: 80.0,
-    fy: 80.0,
-    cx: 48.0,
-    cy: 32.0,
-};
+const K: Intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
 
 /// Photographs on a part of a ring around the origin, at uneven angles.
 fn ring(degrees: f64) -> Vec<NamedCamera> {
@@ -53,11 +46,7 @@ fn an_orbit_is_upright_looks_at_the_middle_and_ends_where_it_begins() {
     let down: DVec3 = views.iter().map(|view| view.camera().down()).sum();
     let down = down.normalize();
     for degrees in [None, Some(360.0)] {
-        let plan = Plan {
-            degrees,
-            elevation: Some(10.0),
-            ..Plan::new(Kind::Orbit)
-        };
+        let plan = Plan { degrees, elevation: Some(10.0), ..Plan::new(Kind::Orbit) };
         let cameras = plan.cameras(&views).expect("cameras");
         assert_eq!(cameras.len(), 8 * 24);
         for camera in &cameras {
@@ -71,11 +60,7 @@ fn an_orbit_is_upright_looks_at_the_middle_and_ends_where_it_begins() {
         assert!(closing <= most * 1.01, "it jumps where it is played again");
         let azimuths = cameras.iter().map(|camera| orbit.azimuth_of(camera));
         let farthest = azimuths.map(f64::abs).fold(0.0, f64::max);
-        let expected = if degrees.is_some() {
-            178.0..180.1
-        } else {
-            37.0..45.0
-        };
+        let expected = if degrees.is_some() { 178.0..180.1 } else { 37.0..45.0 };
         assert!(expected.contains(&farthest), "{farthest} degrees around");
     }
 }
@@ -91,10 +76,7 @@ fn photographers_who_went_all_around_are_followed_all_around() {
 #[test]
 fn the_way_through_the_photographs_passes_them_in_order_at_one_speed() {
     let views = ring(120.0);
-    let plan = Plan {
-        seconds: Some(20.0),
-        ..Plan::new(Kind::Cameras)
-    };
+    let plan = Plan { seconds: Some(20.0), ..Plan::new(Kind::Cameras) };
     let cameras = plan.cameras(&views).expect("cameras");
     let (least, most) = steps(&cameras);
     assert!(most < 1.02 * least, "steps from {least} to {most}");
@@ -122,10 +104,7 @@ fn a_path_may_be_in_utm_metres_and_goes_nowhere_near_infinity() {
         ],
         seconds: 1.0,
     };
-    let plan = |x: f64| Plan {
-        poses: Some(vec![far(x), far(x + 1.0)]),
-        ..Plan::new(Kind::Path)
-    };
+    let plan = |x: f64| Plan { poses: Some(vec![far(x), far(x + 1.0)]), ..Plan::new(Kind::Path) };
     assert_eq!(plan(512_345.6).check(), Ok(()));
     assert_eq!(plan(1e300).check().expect_err("no place").field, "poses");
 }
@@ -133,20 +112,9 @@ fn a_path_may_be_in_utm_metres_and_goes_nowhere_near_infinity() {
 #[test]
 fn a_path_is_at_its_poses_at_their_seconds() {
     let views = ring(90.0);
-    let key = |view: &NamedCamera, seconds| Key {
-        world_to_camera: view.world_to_camera,
-        seconds,
-    };
-    let poses = vec![
-        key(&views[0], 0.0),
-        key(&views[5], 1.0),
-        key(&views[10], 3.0),
-    ];
-    let plan = Plan {
-        fps: Some(25),
-        poses: Some(poses),
-        ..Plan::new(Kind::Path)
-    };
+    let key = |view: &NamedCamera, seconds| Key { world_to_camera: view.world_to_camera, seconds };
+    let poses = vec![key(&views[0], 0.0), key(&views[5], 1.0), key(&views[10], 3.0)];
+    let plan = Plan { fps: Some(25), poses: Some(poses), ..Plan::new(Kind::Path) };
     let cameras = plan.cameras(&views).expect("cameras");
     assert_eq!(cameras.len(), 100);
     // The last picture is at the last second: 99 steps of 4/99 s.
@@ -160,11 +128,7 @@ fn a_path_is_at_its_poses_at_their_seconds() {
 fn sides_are_even_and_follow_the_views() {
     let views = ring(60.0);
     let size = |width, height| {
-        let plan = Plan {
-            width,
-            height,
-            ..Plan::new(Kind::Cameras)
-        };
+        let plan = Plan { width, height, ..Plan::new(Kind::Cameras) };
         let cameras = plan.cameras(&views)?;
         let k = cameras[0].intrinsics;
         Ok::<_, PlanError>((k.width, k.height, k.fx.round() as usize))
@@ -190,20 +154,12 @@ fn what_is_out_of_bounds_or_of_another_kind_is_named() {
     assert_eq!(of(Kind::Orbit, nan), "elevation");
     assert_eq!(of(Kind::Cameras, |plan| plan.fps = Some(31)), "fps");
     assert_eq!(of(Kind::Cameras, |plan| plan.width = Some(2000)), "width");
-    assert_eq!(
-        of(Kind::Cameras, |plan| plan.degrees = Some(90.0)),
-        "degrees"
-    );
+    assert_eq!(of(Kind::Cameras, |plan| plan.degrees = Some(90.0)), "degrees");
     assert_eq!(of(Kind::Path, |plan| plan.seconds = Some(4.0)), "seconds");
     assert_eq!(of(Kind::Path, |_| {}), "poses");
     let skewed = |plan: &mut Plan| {
-        let mut poses = vec![
-            Key {
-                world_to_camera: ring(60.0)[0].world_to_camera,
-                seconds: 2.0,
-            };
-            2
-        ];
+        let mut poses =
+            vec![Key { world_to_camera: ring(60.0)[0].world_to_camera, seconds: 2.0 }; 2];
         poses[1].world_to_camera[0][0] += 0.1;
         plan.poses = Some(poses);
     };
@@ -211,9 +167,7 @@ fn what_is_out_of_bounds_or_of_another_kind_is_named() {
     let error = Plan::new(Kind::Cameras).cameras(&[]).expect_err("no views");
     assert_eq!(error.field, "kind");
     let one = vec![ring(60.0)[0].clone(); 3];
-    let error = Plan::new(Kind::Cameras)
-        .cameras(&one)
-        .expect_err("one place");
+    let error = Plan::new(Kind::Cameras).cameras(&one).expect_err("one place");
     assert!(error.message.contains("one place"), "{error}");
 }
 
@@ -224,11 +178,7 @@ fn picture(number: usize, camera: &Camera) -> Image {
     let grey = 0.2 + 0.02 * number as f32;
     for y in 0..height {
         for x in 0..width {
-            let (red, blue) = if x < width / 2 {
-                (0.8, grey)
-            } else {
-                (grey, 0.7)
-            };
+            let (red, blue) = if x < width / 2 { (0.8, grey) } else { (grey, 0.7) };
             picture.set(x, y, [red, grey, blue]);
         }
     }
@@ -236,19 +186,10 @@ fn picture(number: usize, camera: &Camera) -> Image {
 }
 
 fn made(file: &Path, program: &str) -> Result<(), EncodeError> {
-    let plan = Plan {
-        seconds: Some(1.0),
-        ..Plan::new(Kind::Orbit)
-    };
+    let plan = Plan { seconds: Some(1.0), ..Plan::new(Kind::Orbit) };
     let cameras = plan.cameras(&ring(60.0)).expect("cameras");
-    let target = Target {
-        program: Path::new(program),
-        file,
-        fps: plan.fps(),
-    };
-    write(&target, &cameras, |number, camera| {
-        Ok(picture(number, camera))
-    })
+    let target = Target { program: Path::new(program), file, fps: plan.fps() };
+    write(&target, &cameras, |number, camera| Ok(picture(number, camera)))
 }
 
 fn said(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
@@ -269,25 +210,14 @@ fn a_video_is_h264_that_every_player_shows_and_begins_at_once() {
     let entries = "stream=codec_name,pix_fmt,width,height,nb_read_frames,r_frame_rate";
     let told = said(
         "ffprobe",
-        &[
-            "-v",
-            "error",
-            "-count_frames",
-            "-show_entries",
-            entries,
-            "-of",
-            "csv=p=0",
-        ],
+        &["-v", "error", "-count_frames", "-show_entries", entries, "-of", "csv=p=0"],
         &file,
     );
     let told = String::from_utf8(told).expect("text");
     assert_eq!(told.trim(), "h264,96,64,yuv420p,24/1,24");
     let bytes = std::fs::read(&file).expect("read");
     let at = |name: &[u8]| bytes.windows(4).position(|w| w == name).expect("a box");
-    assert!(
-        at(b"moov") < at(b"mdat"),
-        "what players need first comes first"
-    );
+    assert!(at(b"moov") < at(b"mdat"), "what players need first comes first");
     let left = std::fs::read_dir(folder.path()).expect("read").count();
     assert_eq!(left, 1, "nothing else is left");
 }
@@ -311,10 +241,7 @@ fn the_colours_of_a_video_are_those_of_its_pictures() {
     for (x, expected) in [(20, [0.8, 0.6, 0.6]), (76, [0.6, 0.6, 0.7])] {
         for (channel, expected) in expected.into_iter().enumerate() {
             let value = shown.get(x, 30)[channel];
-            assert!(
-                (value - expected).abs() < 0.02,
-                "{x}: {value}, not {expected}"
-            );
+            assert!((value - expected).abs() < 0.02, "{x}: {value}, not {expected}");
         }
     }
 }
@@ -331,18 +258,10 @@ fn what_fails_says_why_and_leaves_nothing() {
     let words = refused.to_string();
     assert!(matches!(refused, EncodeError::Refused { .. }), "{words}");
     assert!(words.contains("No such file"), "{words}");
-    let cameras = Plan::new(Kind::Orbit)
-        .cameras(&ring(60.0))
-        .expect("cameras");
-    let target = Target {
-        program: Path::new("ffmpeg"),
-        file: &file,
-        fps: 24,
-    };
+    let cameras = Plan::new(Kind::Orbit).cameras(&ring(60.0)).expect("cameras");
+    let target = Target { program: Path::new("ffmpeg"), file: &file, fps: 24 };
     let stopped = write(&target, &cameras, |number, camera| match number {
-        3 => Err(EncodeError::Refused {
-            reason: "enough".to_owned(),
-        }),
+        3 => Err(EncodeError::Refused { reason: "enough".to_owned() }),
         _ => Ok(picture(number, camera)),
     });
     let words = stopped.expect_err("stopped").to_string();

@@ -53,10 +53,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<(), Failure> {
     let list: Artifacts = remote.json(&format!("/v1/jobs/{job}/artifacts"))?;
     let is_wanted = |file: &Artifact| {
-        only.is_empty()
-            || only
-                .iter()
-                .any(|start| file.name.starts_with(start.as_str()))
+        only.is_empty() || only.iter().any(|start| file.name.starts_with(start.as_str()))
     };
     let files: Vec<Artifact> = list.artifacts.into_iter().filter(is_wanted).collect();
     if files.is_empty() {
@@ -78,19 +75,14 @@ pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<
     }
     bar.finish_and_clear();
     let kept = files.len() - fetched;
-    eprintln!(
-        "{fetched} files downloaded to {}, {kept} already there",
-        out.display()
-    );
+    eprintln!("{fetched} files downloaded to {}, {kept} already there", out.display());
     Ok(())
 }
 
 /// Converts a name from the service into a relative path that stays below the folder.
 fn inside(name: &str) -> Result<PathBuf, Failure> {
     let path = Path::new(name);
-    let is_inside = path
-        .components()
-        .all(|part| matches!(part, Component::Normal(_)));
+    let is_inside = path.components().all(|part| matches!(part, Component::Normal(_)));
     if is_inside && !name.is_empty() {
         return Ok(path.to_owned());
     }
@@ -121,11 +113,7 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
 /// Downloads the missing rest of `part`.
 fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), Fault> {
     let here = |error| Fault::Refused(at(part)(error));
-    let mut file = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(part)
-        .map_err(here)?;
+    let mut file = OpenOptions::new().create(true).append(true).open(part).map_err(here)?;
     let have = file.metadata().map_err(here)?.len();
     if have >= bytes {
         return Ok(());
@@ -165,9 +153,7 @@ fn digest(path: &Path) -> io::Result<Option<String>> {
     let mut hasher = Sha256::new();
     io::copy(&mut file, &mut hasher)?;
     let bytes = hasher.finalize();
-    Ok(Some(
-        bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
-    ))
+    Ok(Some(bytes.iter().map(|byte| format!("{byte:02x}")).collect()))
 }
 
 /// Percent-encodes a path.

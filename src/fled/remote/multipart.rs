@@ -23,11 +23,7 @@ impl Form {
     /// # Errors
     /// [`Failure`] if a file cannot be read.
     pub fn new(fields: &[(&str, String)], capture: &Path) -> Result<Self, Failure> {
-        let mut form = Self {
-            parts: Vec::new(),
-            bytes: 0,
-            digest: blake3::hash(b""),
-        };
+        let mut form = Self { parts: Vec::new(), bytes: 0, digest: blake3::hash(b"") };
         let mut hasher = blake3::Hasher::new();
         for (name, value) in fields {
             let head = format!("form-data; name=\"{name}\"");
@@ -35,10 +31,7 @@ impl Form {
         }
         for (name, path) in files(capture)? {
             // Browsers escape names in this header in the same way.
-            let name = name
-                .replace('"', "%22")
-                .replace('\r', "%0D")
-                .replace('\n', "%0A");
+            let name = name.replace('"', "%22").replace('\r', "%0D").replace('\n', "%0A");
             let head = format!("form-data; name=\"images\"; filename=\"{name}\"\r\n");
             let head = format!("{head}Content-Type: application/octet-stream\r\n\r\n");
             form.push(&mut hasher, &head, Some(path))?;
@@ -81,10 +74,7 @@ impl Form {
 
     /// The body from its beginning.
     pub fn body(&self) -> impl Read + '_ {
-        FormBody {
-            parts: self.parts.iter(),
-            now: Box::new(io::empty()),
-        }
+        FormBody { parts: self.parts.iter(), now: Box::new(io::empty()) }
     }
 }
 

@@ -74,10 +74,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let job = remote.persist(|| send(&remote, &form, &key))?;
     writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
     if args.detach {
-        eprintln!(
-            "Follow it with `fled watch {job} --server {}`",
-            remote.base()
-        );
+        eprintln!("Follow it with `fled watch {job} --server {}`", remote.base());
         return Ok(());
     }
     watch::watch(&remote, &job)?;

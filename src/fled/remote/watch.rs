@@ -87,16 +87,9 @@ pub fn watch(remote: &Remote, id: &str) -> Result<(), Failure> {
         match job.state.as_str() {
             "succeeded" => {
                 let rounds: Rounds = remote.json(&format!("/v1/jobs/{id}/rounds"))?;
-                rounds
-                    .rounds
-                    .iter()
-                    .flat_map(round_lines)
-                    .for_each(|line| screen.line(&line));
+                rounds.rounds.iter().flat_map(round_lines).for_each(|line| screen.line(&line));
                 let best = job.best_round.unwrap_or(job.rounds);
-                screen.line(&format!(
-                    "{} is finished; round {best} is delivered",
-                    job.name
-                ));
+                screen.line(&format!("{} is finished; round {best} is delivered", job.name));
                 screen.bar.finish_and_clear();
                 return Ok(());
             }
@@ -182,9 +175,7 @@ fn doing(job: &Job) -> String {
         return job.state.clone();
     }
     let stage = job.stage.as_deref().map(|stage| name(stage, job.round));
-    let rate = job
-        .steps_per_second
-        .map(|rate| format!("{rate:.1} steps/s"));
+    let rate = job.steps_per_second.map(|rate| format!("{rate:.1} steps/s"));
     let parts: Vec<String> = [stage, rate].into_iter().flatten().collect();
     parts.join(", ")
 }

@@ -33,10 +33,7 @@ impl Program {
     pub fn own(tools: &tools::Args) -> Result<Self, Failure> {
         let here = std::env::current_exe();
         let here = here.map_err(crate::failure::io(Path::new("fled")))?;
-        Ok(Self {
-            path: here,
-            environment: tools.environment(),
-        })
+        Ok(Self { path: here, environment: tools.environment() })
     }
 
     /// The path of its file.
@@ -118,11 +115,7 @@ fn verdict(status: ExitStatus, line: String) -> Result<(), String> {
     if status.success() {
         return Ok(());
     }
-    Err(if line.is_empty() {
-        format!("ended without a message: {status}")
-    } else {
-        line
-    })
+    Err(if line.is_empty() { format!("ended without a message: {status}") } else { line })
 }
 
 /// The last line that reports an error, otherwise the last line.
@@ -158,10 +151,7 @@ mod tests {
     }
 
     fn shell() -> Program {
-        Program {
-            path: "/bin/sh".into(),
-            environment: vec![("FLED_COLMAP", "elsewhere".into())],
-        }
+        Program { path: "/bin/sh".into(), environment: vec![("FLED_COLMAP", "elsewhere".into())] }
     }
 
     fn words(script: &str) -> Vec<OsString> {
@@ -176,10 +166,7 @@ mod tests {
         assert_eq!(outcome, Err("no elsewhere".to_owned()));
         let killed = shell().run(&words("kill -9 $$"), &cancel).expect("started");
         assert!(killed.is_err_and(|line| line.contains("signal: 9")));
-        assert_eq!(
-            shell().run(&words("true"), &cancel).expect("started"),
-            Ok(())
-        );
+        assert_eq!(shell().run(&words("true"), &cancel).expect("started"), Ok(()));
     }
 
     #[test]

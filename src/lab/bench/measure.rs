@@ -50,9 +50,7 @@ pub(super) fn measure(
 ) -> Result<Measured, BenchError> {
     let one = warm_up(subject, budget, cancel)?;
     let least = if one > budget.seconds { 1 } else { LEAST };
-    let steps = ((budget.seconds / one.max(1e-9)) as u32)
-        .min(budget.steps)
-        .max(least);
+    let steps = ((budget.seconds / one.max(1e-9)) as u32).min(budget.steps).max(least);
     let begin = Instant::now();
     subject.repeat(steps)?;
     let seconds = begin.elapsed().as_secs_f64();
@@ -63,12 +61,7 @@ pub(super) fn measure(
         gpu.profile(false);
         profiled = Some(outcome?);
     }
-    Ok(Measured {
-        steps,
-        seconds,
-        profiled,
-        counts: middle(counts),
-    })
+    Ok(Measured { steps, seconds, profiled, counts: middle(counts) })
 }
 
 /// Runs the first steps, at least two because the first compiles the kernels. Returns the seconds
@@ -113,21 +106,13 @@ fn profile(
         let times = gpu.profiled();
         sums.push(times.iter().map(|(_, time)| time.total.as_secs_f64()).sum());
         for (name, time) in times {
-            kernels
-                .entry(name)
-                .or_default()
-                .push((time.total.as_secs_f64(), time.dispatches));
+            kernels.entry(name).or_default().push((time.total.as_secs_f64(), time.dispatches));
         }
         gpu.profile(false);
         counts.extend(subject.counts()?);
         steps += 1;
     }
-    Ok(Profiled {
-        steps,
-        wall: median(walls),
-        kernels: median(sums),
-        rows: rows(kernels, steps),
-    })
+    Ok(Profiled { steps, wall: median(walls), kernels: median(sums), rows: rows(kernels, steps) })
 }
 
 /// The medians of every kernel, the longest first. A kernel that does not run in a step counts as 0
@@ -141,11 +126,7 @@ fn rows(
         .map(|(name, mut times)| {
             times.resize(times.len().max(steps as usize), (0.0, 0));
             let dispatches = median(times.iter().map(|time| time.1 as f64).collect());
-            (
-                name,
-                median(times.into_iter().map(|time| time.0).collect()),
-                dispatches as u64,
-            )
+            (name, median(times.into_iter().map(|time| time.0).collect()), dispatches as u64)
         })
         .collect();
     rows.sort_by(|a, b| b.1.total_cmp(&a.1));

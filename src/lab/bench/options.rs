@@ -34,10 +34,7 @@ impl Default for BenchOptions {
         Self {
             sizes: vec![(280, 160), (560, 320), (1120, 640)],
             gaussians: vec![10_000, 50_000, 200_000],
-            budget: Budget {
-                seconds: 5.0,
-                steps: 100,
-            },
+            budget: Budget { seconds: 5.0, steps: 100 },
             seed: 0,
         }
     }
@@ -49,10 +46,7 @@ impl BenchOptions {
         Self {
             sizes: vec![(280, 160)],
             gaussians: vec![10_000],
-            budget: Budget {
-                seconds: 0.5,
-                steps: 10,
-            },
+            budget: Budget { seconds: 0.5, steps: 10 },
             seed: 0,
         }
     }

@@ -246,11 +246,7 @@ impl JobTimes {
             steps: report.rounds.iter().map(|round| round.steps).sum(),
             gaussians: last.map_or(0, |round| round.gaussians),
             steps_per_second: last.map_or(0.0, |round| round.steps_per_second),
-            between: report
-                .rounds
-                .iter()
-                .filter_map(|round| round.between)
-                .collect(),
+            between: report.rounds.iter().filter_map(|round| round.between).collect(),
             stages: report.stages.clone(),
             seconds,
             gpu_peak_bytes,
@@ -264,15 +260,8 @@ fn peak_resident() -> Option<u64> {
 }
 
 fn parse_peak(status: &str) -> Option<u64> {
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmHWM:"))?;
-    line.trim()
-        .strip_suffix("kB")?
-        .trim()
-        .parse::<u64>()
-        .ok()
-        .map(|kib| 1024 * kib)
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| 1024 * kib)
 }
 
 #[cfg(test)]
@@ -281,10 +270,7 @@ mod tests {
 
     #[test]
     fn the_peak_of_the_process_is_parsed_in_bytes() {
-        assert_eq!(
-            parse_peak("VmPeak:\t 90 kB\nVmHWM:\t   12 kB\n"),
-            Some(12_288)
-        );
+        assert_eq!(parse_peak("VmPeak:\t 90 kB\nVmHWM:\t   12 kB\n"), Some(12_288));
         assert_eq!(parse_peak("VmPeak:\t 90 kB\n"), None);
     }
 }

@@ -8,10 +8,8 @@ use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recording, read, read_write, unifo
 use super::measure::median;
 
 const FMA: Kernel = Kernel::new("bench/fma", &[uniform("size"), read_write("sums")]);
-const COPY: Kernel = Kernel::new(
-    "bench/copy",
-    &[uniform("size"), read("source"), read_write("copied")],
-);
+const COPY: Kernel =
+    Kernel::new("bench/copy", &[uniform("size"), read("source"), read_write("copied")]);
 
 /// `FMAS` of shaders/bench/fma.wgsl.
 const FMAS: u64 = 24;
@@ -48,29 +46,18 @@ struct RooflineUniform {
 impl RooflineUniform {
     fn new(count: usize, rounds: u32) -> Self {
         // Chains converge to 500: they neither overflow nor become slow subnormal numbers.
-        Self {
-            count: count as u32,
-            rounds,
-            factor: 0.999,
-            offset: 0.5,
-        }
+        Self { count: count as u32, rounds, factor: 0.999, offset: 0.5 }
     }
 }
 
 pub(super) fn measure(gpu: &Gpu) -> Result<Peak, GpuError> {
-    Ok(Peak {
-        operations: arithmetic(gpu)?,
-        bytes: bandwidth(gpu)?,
-    })
+    Ok(Peak { operations: arithmetic(gpu)?, bytes: bandwidth(gpu)? })
 }
 
 fn arithmetic(gpu: &Gpu) -> Result<f64, GpuError> {
     let sums: Buffer<[f32; 4]> = gpu.create("roofline", INVOCATIONS)?;
     let mut rounds = 16;
-    let size = gpu.upload(
-        "roofline size",
-        &[RooflineUniform::new(INVOCATIONS, rounds)],
-    )?;
+    let size = gpu.upload("roofline size", &[RooflineUniform::new(INVOCATIONS, rounds)])?;
     let mut recorder = gpu.recorder();
     recorder.dispatch_items(&FMA, &[&size, &sums], INVOCATIONS)?;
     let recording = recorder.finish();
@@ -96,9 +83,7 @@ fn bandwidth(gpu: &Gpu) -> Result<f64, GpuError> {
 }
 
 fn typical(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
-    let times = (0..REPEATS)
-        .map(|_| seconds(gpu, recording))
-        .collect::<Result<_, _>>()?;
+    let times = (0..REPEATS).map(|_| seconds(gpu, recording)).collect::<Result<_, _>>()?;
     Ok(median(times).max(1e-9))
 }
 
@@ -111,9 +96,7 @@ fn seconds(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
     let timed = gpu.profiled();
     gpu.profile(false);
     submitted?;
-    Ok(timed
-        .first()
-        .map_or(wall, |(_, time)| time.total.as_secs_f64()))
+    Ok(timed.first().map_or(wall, |(_, time)| time.total.as_secs_f64()))
 }
 
 #[cfg(test)]
@@ -145,17 +128,11 @@ mod tests {
     #[test]
     fn a_copy_copies() {
         let gpu = gpu();
-        let source = gpu
-            .upload("source", &[[1.0_f32, 2.0, 3.0, 4.0]; 5])
-            .expect("uploaded");
+        let source = gpu.upload("source", &[[1.0_f32, 2.0, 3.0, 4.0]; 5]).expect("uploaded");
         let copied: Buffer<[f32; 4]> = gpu.create("copied", 5).expect("created");
-        let size = gpu
-            .upload("size", &[RooflineUniform::new(4, 0)])
-            .expect("uploaded");
+        let size = gpu.upload("size", &[RooflineUniform::new(4, 0)]).expect("uploaded");
         let mut recorder = gpu.recorder();
-        recorder
-            .dispatch_items(&COPY, &[&size, &source, &copied], 4)
-            .expect("recorded");
+        recorder.dispatch_items(&COPY, &[&size, &source, &copied], 4).expect("recorded");
         recorder.submit().expect("submitted");
         let values = copied.read().expect("read");
         assert_eq!((values[3], values[4]), ([1.0, 2.0, 3.0, 4.0], [0.0; 4]));

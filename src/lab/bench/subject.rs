@@ -55,19 +55,14 @@ impl<'a> Rendering<'a> {
     pub(super) fn new(gpu: &Gpu, workload: &'a Workload) -> Result<Self, BenchError> {
         let renderer = Renderer::new(gpu);
         let scene = renderer.upload(&workload.gaussians)?;
-        Ok(Self {
-            renderer,
-            scene,
-            workload,
-        })
+        Ok(Self { renderer, scene, workload })
     }
 }
 
 impl Subject for Rendering<'_> {
     fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
         for _ in 0..times {
-            self.renderer
-                .render_scene(&self.scene, &self.workload.camera()?)?;
+            self.renderer.render_scene(&self.scene, &self.workload.camera()?)?;
         }
         Ok(())
     }
@@ -93,16 +88,8 @@ impl Similarity {
         let gradient = gpu.create("image gradient", prediction.len())?;
         let mut recorder = gpu.recorder();
         let loss = Loss::new(gpu, width, height)?;
-        loss.record(
-            &mut recorder,
-            &prediction,
-            &upload_target(gpu, &image)?,
-            &gradient,
-        )?;
-        Ok(Self {
-            gpu: gpu.clone(),
-            recording: recorder.finish(),
-        })
+        loss.record(&mut recorder, &prediction, &upload_target(gpu, &image)?, &gradient)?;
+        Ok(Self { gpu: gpu.clone(), recording: recorder.finish() })
     }
 }
 
@@ -130,10 +117,7 @@ impl Sorting {
         // The same keys each time: sorted ones would have another access pattern.
         recorder.copy(&unsorted, sort.keys(), keys)?;
         sort.record(&mut recorder, &counters)?;
-        Ok(Self {
-            gpu: gpu.clone(),
-            recording: recorder.finish(),
-        })
+        Ok(Self { gpu: gpu.clone(), recording: recorder.finish() })
     }
 }
 
@@ -157,11 +141,7 @@ fn count(gpu: &Gpu, counters: &Counters, keys: usize) -> Result<(), GpuError> {
     };
     let row = gpu.upload("parameters", &[row])?;
     let mut recorder = gpu.recorder();
-    recorder.dispatch(
-        &SCAN,
-        &[&row, &counters.values, &total, &counters.arguments],
-        [1, 1, 1],
-    )?;
+    recorder.dispatch(&SCAN, &[&row, &counters.values, &total, &counters.arguments], [1, 1, 1])?;
     recorder.submit().map(|_| ())
 }
 

@@ -6,14 +6,7 @@ use super::report::{Case, JobTimes, KernelRow, Report};
 use fled_core::event::Stage;
 
 /// The columns; `row` has their widths.
-const HEAD: [&str; 6] = [
-    "",
-    "ms a step",
-    "share",
-    "dispatches",
-    "in MB copied",
-    "in Mop made",
-];
+const HEAD: [&str; 6] = ["", "ms a step", "share", "dispatches", "in MB copied", "in Mop made"];
 
 impl Report {
     /// The report as text.
@@ -29,10 +22,7 @@ impl Report {
         if let Some(bytes) = self.peak_resident_bytes {
             line(
                 &mut out,
-                format_args!(
-                    "\nThe process had at most {} MB resident.",
-                    megabytes(bytes)
-                ),
+                format_args!("\nThe process had at most {} MB resident.", megabytes(bytes)),
             );
         }
         out
@@ -46,23 +36,13 @@ fn head(report: &Report) -> String {
         Some((least, most)) => format!("subgroups of {least} to {most}"),
         None => "no subgroups".to_owned(),
     };
-    let clock = if machine.timestamps {
-        ""
-    } else {
-        ", no timestamps: kernels are not timed"
-    };
+    let clock = if machine.timestamps { "" } else { ", no timestamps: kernels are not timed" };
     let mut out = String::new();
     line(
         &mut out,
-        format_args!(
-            "fled {} on {} ({})",
-            report.fled, machine.adapter, machine.driver
-        ),
+        format_args!("fled {} on {} ({})", report.fled, machine.adapter, machine.driver),
     );
-    line(
-        &mut out,
-        format_args!("{subgroup}, {} host threads{clock}", machine.threads),
-    );
+    line(&mut out, format_args!("{subgroup}, {} host threads{clock}", machine.threads));
     line(
         &mut out,
         format_args!(
@@ -75,17 +55,12 @@ fn head(report: &Report) -> String {
 
 fn case_lines(case: &Case) -> String {
     let mut out = String::new();
-    let counts = [
-        ("visible", case.visible),
-        ("intersections", case.intersections),
-    ];
+    let counts = [("visible", case.visible), ("intersections", case.intersections)];
     let counts: String = counts
         .iter()
         .filter_map(|(name, count)| count.map(|count| format!(", {count} {name}")))
         .collect();
-    let sum = case
-        .kernel_milliseconds
-        .map_or(String::new(), |ms| format!(", kernels {ms:.3} ms"));
+    let sum = case.kernel_milliseconds.map_or(String::new(), |ms| format!(", kernels {ms:.3} ms"));
     line(
         &mut out,
         format_args!(
@@ -127,16 +102,12 @@ fn job_lines(job: &JobTimes) -> String {
             megabytes(job.gpu_peak_bytes)
         ),
     );
-    for (stage, seconds) in Stage::ALL
-        .iter()
-        .filter_map(|stage| job.stages.get_key_value(stage.name()))
+    for (stage, seconds) in
+        Stage::ALL.iter().filter_map(|stage| job.stages.get_key_value(stage.name()))
     {
         line(
             &mut out,
-            format_args!(
-                "  {stage:<34}{seconds:>10.2} s{:>8.1} %",
-                100.0 * seconds / job.seconds
-            ),
+            format_args!("  {stage:<34}{seconds:>10.2} s{:>8.1} %", 100.0 * seconds / job.seconds),
         );
     }
     for (round, between) in (1..).zip(&job.between) {
@@ -157,11 +128,8 @@ fn job_lines(job: &JobTimes) -> String {
 fn row(cells: &[String; 6]) -> String {
     let [name, rest @ ..] = cells;
     let widths = [10, 9, 12, 14, 13];
-    let rest: String = rest
-        .iter()
-        .zip(widths)
-        .map(|(cell, width)| format!("{cell:>width$}"))
-        .collect();
+    let rest: String =
+        rest.iter().zip(widths).map(|(cell, width)| format!("{cell:>width$}")).collect();
     format!("{name:<34}{rest}\n")
 }
 

@@ -13,10 +13,7 @@ fn tiny() -> BenchOptions {
     BenchOptions {
         sizes: vec![(96, 64)],
         gaussians: vec![500],
-        budget: Budget {
-            seconds: 0.02,
-            steps: 4,
-        },
+        budget: Budget { seconds: 0.02, steps: 4 },
         seed: 3,
     }
 }
@@ -35,28 +32,16 @@ fn every_case_and_its_kernels_are_in_the_table() {
     assert_eq!(names, ["train", "render", "train", "train", "ssim", "sort"]);
     let table = report.table();
     for case in &report.cases {
-        assert!(
-            case.steps_per_second > 0.0 && case.gpu_peak_bytes > 0,
-            "{case:?}"
-        );
+        assert!(case.steps_per_second > 0.0 && case.gpu_peak_bytes > 0, "{case:?}");
         assert!(table.contains(&case.name), "{}", case.name);
         if !report.machine.timestamps {
             continue;
         }
-        let (sum, wall) = (
-            case.kernel_milliseconds.unwrap(),
-            case.profiled_milliseconds.unwrap(),
-        );
-        assert!(
-            sum > 0.0 && sum <= wall,
-            "{}: kernels {sum} ms, step {wall} ms",
-            case.name
-        );
+        let (sum, wall) = (case.kernel_milliseconds.unwrap(), case.profiled_milliseconds.unwrap());
+        assert!(sum > 0.0 && sum <= wall, "{}: kernels {sum} ms, step {wall} ms", case.name);
         assert!((case.kernels.iter().map(|row| row.share).sum::<f64>() - 1.0).abs() < 1e-9);
         for row in &case.kernels {
-            let line = table
-                .lines()
-                .find(|line| line.trim_start().starts_with(row.kernel));
+            let line = table.lines().find(|line| line.trim_start().starts_with(row.kernel));
             assert!(line.is_some(), "{} is not in the table", row.kernel);
             let runs = row.milliseconds > 0.0;
             assert_eq!((row.copies > 0.0, row.fmas > 0.0), (runs, runs), "{row:?}");
@@ -67,13 +52,8 @@ fn every_case_and_its_kernels_are_in_the_table() {
 #[test]
 fn the_extras_of_a_training_step_add_their_kernels() {
     let report = report();
-    let kernels = |case: usize| {
-        report.cases[case]
-            .kernels
-            .iter()
-            .map(|row| row.kernel)
-            .collect::<Vec<_>>()
-    };
+    let kernels =
+        |case: usize| report.cases[case].kernels.iter().map(|row| row.kernel).collect::<Vec<_>>();
     if !report.machine.timestamps {
         return;
     }
@@ -94,36 +74,19 @@ fn the_extras_of_a_training_step_add_their_kernels() {
     assert!(!has(&off, "noise/") && !has(&off, "shake/") && !has(&noise, "shake/"));
     let mut sort = kernels(5);
     sort.sort_unstable();
-    assert_eq!(
-        sort,
-        ["sort/radix_count", "sort/radix_scatter", "sort/scan"]
-    );
+    assert_eq!(sort, ["sort/radix_count", "sort/radix_scatter", "sort/scan"]);
 }
 
 #[test]
 fn synthetic_scenes_are_reproducible_and_like_trained_ones() {
     let gpu = &gpu();
-    let options = BenchOptions {
-        sizes: vec![(280, 160)],
-        gaussians: vec![10_000],
-        ..tiny()
-    };
-    let plan = Plan::Render {
-        size: (280, 160),
-        gaussians: 10_000,
-    };
-    let bench = Bench {
-        gpu,
-        options: &options,
-        cancel: &CancelToken::new(),
-    };
+    let options = BenchOptions { sizes: vec![(280, 160)], gaussians: vec![10_000], ..tiny() };
+    let plan = Plan::Render { size: (280, 160), gaussians: 10_000 };
+    let bench = Bench { gpu, options: &options, cancel: &CancelToken::new() };
     let case = plan.measure(&bench).expect("measured");
     let (visible, intersections) = (case.visible.unwrap(), case.intersections.unwrap());
     let each = intersections as f64 / visible as f64;
-    assert!(
-        (3.0..4.0).contains(&each) && visible > 8_000,
-        "{intersections} of {visible} visible"
-    );
+    assert!((3.0..4.0).contains(&each) && visible > 8_000, "{intersections} of {visible} visible");
     let again = || Workload::synthetic(gpu, (64, 48), 50, 9).expect("made");
     assert_eq!(again().gaussians, again().gaussians);
     let other = Workload::synthetic(gpu, (64, 48), 50, 10).expect("made");
@@ -141,27 +104,15 @@ fn the_json_has_null_for_missing_values() {
 #[test]
 fn empty_options_and_cancellation_are_errors() {
     let gpu = &gpu();
-    let none = BenchOptions {
-        sizes: Vec::new(),
-        ..tiny()
-    };
+    let none = BenchOptions { sizes: Vec::new(), ..tiny() };
     let outcome = run(gpu, &none, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Empty("size"))));
-    let long = BenchOptions {
-        budget: Budget {
-            seconds: 1.0,
-            steps: MOST_STEPS + 1,
-        },
-        ..tiny()
-    };
+    let long = BenchOptions { budget: Budget { seconds: 1.0, steps: MOST_STEPS + 1 }, ..tiny() };
     let outcome = run(gpu, &long, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Steps(2_001))));
     let cancel = CancelToken::new();
     cancel.cancel();
-    assert!(matches!(
-        run(gpu, &tiny(), &mut |_, _, _| {}, &cancel),
-        Err(BenchError::Cancelled(_))
-    ));
+    assert!(matches!(run(gpu, &tiny(), &mut |_, _, _| {}, &cancel), Err(BenchError::Cancelled(_))));
     let missing = Workload::of_run(std::path::Path::new("/nowhere/at/all"));
     assert!(matches!(missing, Err(BenchError::Run(message)) if message.contains("cameras.json")));
 }

@@ -60,19 +60,10 @@ impl Workload {
         let view = |index: usize| -> Result<TrainingView, BenchError> {
             let camera = camera(index, size);
             let image = renderer.render_scene(&uploaded, &camera)?;
-            Ok(TrainingView {
-                has_kernel: true,
-                name: index.to_string(),
-                camera,
-                image,
-            })
+            Ok(TrainingView { has_kernel: true, name: index.to_string(), camera, image })
         };
         let views = (0..VIEWS).map(view).collect::<Result<_, _>>()?;
-        Ok(Self::new(
-            format!("{}x{}, {gaussians} Gaussians", size.0, size.1),
-            views,
-            scene,
-        ))
+        Ok(Self::new(format!("{}x{}, {gaussians} Gaussians", size.0, size.1), views, scene))
     }
 
     /// The delivered scene of a finished run, with its restored views.
@@ -85,10 +76,7 @@ impl Workload {
             |error: &dyn std::fmt::Display| BenchError::Run(format!("{}: {error}", path.display()));
         let text = std::fs::read(&path).map_err(|e| fault(&e))?;
         let cameras: Vec<NamedCamera> = serde_json::from_slice(&text).map_err(|e| fault(&e))?;
-        let Scene {
-            gaussians,
-            normalisation,
-        } = ply::read(&folder.join("scene.ply"))?;
+        let Scene { gaussians, normalisation } = ply::read(&folder.join("scene.ply"))?;
         let view = |named: &NamedCamera| -> Result<TrainingView, BenchError> {
             let k = &named.intrinsics;
             let file = folder.join("restored").join(format!("{}.png", named.name));
@@ -122,29 +110,15 @@ impl Workload {
 
     fn new(name: String, views: Vec<TrainingView>, gaussians: Gaussians) -> Self {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let points: Vec<Point> = gaussians
-            .means
-            .iter()
-            .map(|&position| Point {
-                position,
-                colour: [0; 3],
-            })
-            .collect();
+        let points: Vec<Point> =
+            gaussians.means.iter().map(|&position| Point { position, colour: [0; 3] }).collect();
         let extent = scene_extent(&cameras, &points);
-        Self {
-            name,
-            views,
-            gaussians,
-            extent,
-        }
+        Self { name, views, gaussians, extent }
     }
 
     /// The camera of the first view.
     pub(super) fn camera(&self) -> Result<Camera, BenchError> {
-        self.views
-            .first()
-            .map(|view| view.camera)
-            .ok_or(BenchError::Empty("view"))
+        self.views.first().map(|view| view.camera).ok_or(BenchError::Empty("view"))
     }
 }
 
@@ -163,11 +137,7 @@ fn shaken(image: &Image, angle: f64) -> Image {
             for x in 0..width {
                 let from = light.get(x.saturating_add_signed(dx).min(width - 1), from_y);
                 let here = sum.get(x, y);
-                sum.set(
-                    x,
-                    y,
-                    std::array::from_fn(|c| here[c] + from[c] / taps as f32),
-                );
+                sum.set(x, y, std::array::from_fn(|c| here[c] + from[c] / taps as f32));
             }
         }
     }
@@ -178,14 +148,7 @@ fn shaken(image: &Image, angle: f64) -> Image {
 fn camera(index: usize, (width, height): (usize, usize)) -> Camera {
     let focal = width as f64;
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    let intrinsics = Intrinsics {
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx,
-        cy,
-    };
+    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
     let angle = (index as f64 - 1.0) / 6.0;
     let eye = DVec3::new(3.0 * angle.sin(), -0.2, -3.0 * angle.cos());
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
@@ -195,20 +158,15 @@ fn random_scene(count: usize, seed: u64) -> Gaussians {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut signed = move || 2.0 * random.random::<f64>() - 1.0;
     let log_scale = (SCALE * (10_000.0 / count.max(1) as f64).sqrt()).ln();
-    let mut out = Gaussians {
-        sh_degree: SH_DEGREE,
-        ..Gaussians::default()
-    };
+    let mut out = Gaussians { sh_degree: SH_DEGREE, ..Gaussians::default() };
     let row = 3 * out.coefficients();
     for _ in 0..count {
         out.means.push(BOX.map(|half| (half * signed()) as f32));
         // Flat and long Gaussians, as in trained scenes.
-        out.log_scales
-            .push([0; 3].map(|_| (log_scale + 0.8 * signed()) as f32));
+        out.log_scales.push([0; 3].map(|_| (log_scale + 0.8 * signed()) as f32));
         out.quats.push([0; 4].map(|_| signed() as f32));
         out.opacity_logits.push((0.5 + 2.5 * signed()) as f32);
-        out.sh
-            .extend((0..row).map(|i| if i < 3 { signed() } else { 0.1 * signed() } as f32));
+        out.sh.extend((0..row).map(|i| if i < 3 { signed() } else { 0.1 * signed() } as f32));
     }
     out
 }

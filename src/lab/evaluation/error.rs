@@ -71,10 +71,7 @@ pub enum EvaluationError {
 impl EvaluationError {
     /// An invalid file of the run.
     pub(super) fn run(path: &Path, reason: impl std::fmt::Display) -> Self {
-        Self::Run {
-            path: path.to_owned(),
-            reason: reason.to_string(),
-        }
+        Self::Run { path: path.to_owned(), reason: reason.to_string() }
     }
 
     pub fn kind(&self) -> ErrorKind {

@@ -26,10 +26,7 @@ impl Lpips {
             EvaluationError::Lpips(format!("{}: {error}", path.display()))
         };
         let bytes = std::fs::read(path).map_err(|error| fault(&error))?;
-        let graph = Graph {
-            bytes: &bytes,
-            weights: None,
-        };
+        let graph = Graph { bytes: &bytes, weights: None };
         let session = session(runtime, &graph, Provider::Cpu, false, 0);
         Ok(Self {
             network: Network::new(session.map_err(|error| fault(&error))?),
@@ -49,16 +46,9 @@ impl Lpips {
     pub fn distance(&mut self, image: &Image, truth: &Image) -> Result<f64, EvaluationError> {
         let shape = [1, 3, image.height(), image.width()];
         let [reference, distorted] = [truth, image].map(normalised);
-        let input = |name, values| Input {
-            name,
-            shape: &shape,
-            values,
-        };
+        let input = |name, values| Input { name, shape: &shape, values };
         let inputs = [input("ref", &*reference), input("dist", &*distorted)];
-        let [score] = self
-            .network
-            .run(&inputs, ["score"])
-            .map_err(EvaluationError::Lpips)?;
+        let [score] = self.network.run(&inputs, ["score"]).map_err(EvaluationError::Lpips)?;
         let score = score.values.first().copied().map(f64::from);
         score.ok_or_else(|| EvaluationError::Lpips("the network's score is empty".to_owned()))
     }

@@ -34,9 +34,7 @@ pub fn write(
         for (what, picture) in rows_of(pictures) {
             save(&file(&view.name, what), &encoded(picture)?)?;
         }
-        let enhanced = run
-            .round(round)
-            .picture(RoundPictures::Enhanced, &view.nearest);
+        let enhanced = run.round(round).picture(RoundPictures::Enhanced, &view.nearest);
         let nearest = [("dark", run.input(&view.nearest)), ("brightened", enhanced)];
         for (what, from) in nearest {
             // A file that the user has removed from the run leaves a gap on the page.
@@ -58,22 +56,15 @@ fn file(view: &str, what: &str) -> String {
 }
 
 fn encoded(image: &Image) -> Result<Vec<u8>, PipelineError> {
-    let unencodable = |source| PipelineError::Photograph {
-        name: "a picture of the page".to_owned(),
-        source,
-    };
+    let unencodable =
+        |source| PipelineError::Photograph { name: "a picture of the page".to_owned(), source };
     image.encode(EncodeFormat::Jpeg(92)).map_err(unencodable)
 }
 
 /// One line per test view, with all of its scores.
 pub fn csv(evaluation: &Evaluation) -> String {
     let columns = ["psnr", "psnr_cc", "psnr_fine", "ssim", "lpips_squeeze"];
-    let ways = [
-        "mapped_all",
-        "mapped_seen",
-        "registered_all",
-        "registered_seen",
-    ];
+    let ways = ["mapped_all", "mapped_seen", "registered_all", "registered_seen"];
     let mut text = "view,nearest,seen,moved_px".to_owned();
     for way in ways {
         for column in columns {
@@ -82,11 +73,7 @@ pub fn csv(evaluation: &Evaluation) -> String {
     }
     for view in &evaluation.views {
         let TestView { name, nearest, .. } = view;
-        let _ = write!(
-            text,
-            "\n{name},{nearest},{:.4},{:.3}",
-            view.seen, view.moved_px
-        );
+        let _ = write!(text, "\n{name},{nearest},{:.4},{:.3}", view.seen, view.moved_px);
         for scores in [&view.mapped, &view.registered] {
             for scores in [Some(&scores.all), scores.seen.as_ref()] {
                 let _ = write!(text, ",{}", cells(scores));
@@ -183,11 +170,7 @@ fn page(evaluation: &Evaluation) -> String {
             100.0 * view.seen
         );
         for what in ["dark", "brightened", "render", "truth"] {
-            let _ = write!(
-                text,
-                "<td><img src=\"{}\" alt=\"{what}\">",
-                file(&view.name, what)
-            );
+            let _ = write!(text, "<td><img src=\"{}\" alt=\"{what}\">", file(&view.name, what));
         }
     }
     text + "</table></html>\n"

@@ -21,14 +21,9 @@ pub(super) fn scores(
     seen: &Mask,
 ) -> Option<ViewScores> {
     let seen = seen.and(scored);
-    let (all, within_seen) = rayon::join(
-        || within(render, truth, scored),
-        || within(render, truth, &seen),
-    );
-    Some(ViewScores {
-        all: all?,
-        seen: within_seen.filter(|_| seen.share() >= LEAST_SHARE),
-    })
+    let (all, within_seen) =
+        rayon::join(|| within(render, truth, scored), || within(render, truth, &seen));
+    Some(ViewScores { all: all?, seen: within_seen.filter(|_| seen.share() >= LEAST_SHARE) })
 }
 
 /// The scores over the pixels of a mask; `None` without any.
@@ -75,9 +70,7 @@ fn blurred(image: &Image) -> Image {
                 let y = (y + dy * tap).clamp(0, height - 1);
                 image.data()[plane + (y * width + x) as usize]
             };
-            (-RADIUS..=RADIUS)
-                .map(|tap| weight(tap) / total * at(tap))
-                .sum::<f32>()
+            (-RADIUS..=RADIUS).map(|tap| weight(tap) / total * at(tap)).sum::<f32>()
         };
         let values = (0..image.data().len()).into_par_iter().map(value);
         Image::from_planar(image.width(), image.height(), values.collect())
@@ -90,10 +83,7 @@ fn blurred(image: &Image) -> Image {
 pub(super) fn mean(all: &[&ViewScores]) -> ViewScores {
     let seen: Vec<Scores> = all.iter().filter_map(|scores| scores.seen).collect();
     let whole: Vec<Scores> = all.iter().map(|scores| scores.all).collect();
-    ViewScores {
-        all: mean_of(&whole),
-        seen: (!seen.is_empty()).then(|| mean_of(&seen)),
-    }
+    ViewScores { all: mean_of(&whole), seen: (!seen.is_empty()).then(|| mean_of(&seen)) }
 }
 
 fn mean_of(all: &[Scores]) -> Scores {
@@ -132,20 +122,13 @@ mod tests {
             *v += 0.1 * ((i % 60) as f32 * std::f32::consts::TAU / 60.0).sin();
         }
         for (i, v) in grainy.data_mut().iter_mut().enumerate() {
-            *v += if (i % 60 + i / 60 % 48) % 2 == 0 {
-                0.05
-            } else {
-                -0.05
-            };
+            *v += if (i % 60 + i / 60 % 48) % 2 == 0 { 0.05 } else { -0.05 };
         }
         let mask = Mask::full(60, 48);
         let [coarse, grainy] =
             [coarse, grainy].map(|image| scores(&image, &truth, &mask, &mask).expect("pixels").all);
         assert!(coarse.psnr_fine_db > coarse.psnr_cc_db + 12.0, "{coarse:?}");
-        assert!(
-            (grainy.psnr_fine_db - grainy.psnr_cc_db).abs() < 1.0,
-            "{grainy:?}"
-        );
+        assert!((grainy.psnr_fine_db - grainy.psnr_cc_db).abs() < 1.0, "{grainy:?}");
     }
 
     #[test]
@@ -162,10 +145,7 @@ mod tests {
         let inside = super::scores(&render, &truth, &left, &everything).expect("pixels");
         assert_eq!(Some(inside.all), scores.seen);
         let seen = scores.seen.expect("two fifths are seen");
-        assert!(
-            scores.all.psnr_db < 15.0 && seen.psnr_db > 99.0,
-            "{scores:?}"
-        );
+        assert!(scores.all.psnr_db < 15.0 && seen.psnr_db > 99.0, "{scores:?}");
         assert!(scores.all.ssim < 0.7 && seen.ssim > 0.999, "{scores:?}");
         let hardly = (0..60 * 48).map(|i| i < 20).collect();
         let hardly = super::scores(&render, &truth, &everything, &Mask::new(60, 48, hardly));

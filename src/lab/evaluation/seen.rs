@@ -29,11 +29,7 @@ impl Mask {
     /// `holds` has the picture's pixels row by row.
     pub(super) fn new(width: usize, height: usize, holds: Vec<bool>) -> Self {
         assert_eq!(holds.len(), width * height, "a mask of another size");
-        Self {
-            width,
-            height,
-            holds,
-        }
+        Self { width, height, holds }
     }
 
     /// All pixels.
@@ -102,10 +98,7 @@ impl<'a> Witnesses<'a> {
             Ok((camera, depths))
         };
         let views: Result<Vec<_>, EvaluationError> = run.training().map(seen).collect();
-        Ok(Self {
-            scene: &run.gaussians,
-            views: views?,
-        })
+        Ok(Self { scene: &run.gaussians, views: views? })
     }
 
     /// The pixels of a camera's picture that at least two of them see.

@@ -39,19 +39,11 @@ impl Subject {
     }
 
     pub(super) fn new(gaussians: Gaussians, cameras: Vec<NamedCamera>, poses: Poses) -> Self {
-        let point = |mean: &[f32; 3]| Point {
-            position: *mean,
-            colour: [0; 3],
-        };
+        let point = |mean: &[f32; 3]| Point { position: *mean, colour: [0; 3] };
         let points: Vec<Point> = gaussians.means.iter().map(point).collect();
         let all: Vec<Camera> = cameras.iter().map(NamedCamera::camera).collect();
         let depth = scene_depth(&all, &points);
-        Self {
-            gaussians,
-            cameras,
-            poses,
-            depth,
-        }
+        Self { gaussians, cameras, poses, depth }
     }
 
     /// The lens found for a view, at the size of the original photograph.
@@ -60,9 +52,7 @@ impl Subject {
     /// [`EvaluationError::NoLens`] if the poses do not belong to the scene.
     pub fn lens(&self, name: &str) -> Result<Lens, EvaluationError> {
         let view = self.poses.views.iter().find(|view| view.name == name);
-        let no_lens = || EvaluationError::NoLens {
-            view: name.to_owned(),
-        };
+        let no_lens = || EvaluationError::NoLens { view: name.to_owned() };
         view.map(|view| view.lens).ok_or_else(no_lens)
     }
 

@@ -20,14 +20,8 @@ const SIZE: [usize; 2] = [120, 90];
 
 /// Six cameras side by side; the run lacks the odd ones.
 fn cameras() -> Vec<NamedCamera> {
-    let intrinsics = Intrinsics {
-        width: SIZE[0],
-        height: SIZE[1],
-        fx: 110.0,
-        fy: 110.0,
-        cx: 60.0,
-        cy: 45.0,
-    };
+    let intrinsics =
+        Intrinsics { width: SIZE[0], height: SIZE[1], fx: 110.0, fy: 110.0, cx: 60.0, cy: 45.0 };
     let camera = |index: usize| {
         let eye = DVec3::new(0.3 * index as f64 - 0.75, 0.1 * (index % 2) as f64, -3.0);
         let camera = Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y);
@@ -41,15 +35,9 @@ fn poses() -> Poses {
     let view = |named: NamedCamera| PosedView {
         name: named.name.clone(),
         camera: named.camera(),
-        lens: Lens {
-            intrinsics: named.intrinsics,
-            distortion: Distortion::None,
-        },
+        lens: Lens { intrinsics: named.intrinsics, distortion: Distortion::None },
     };
-    Poses {
-        views: cameras().into_iter().map(view).collect(),
-        ..Poses::default()
-    }
+    Poses { views: cameras().into_iter().map(view).collect(), ..Poses::default() }
 }
 
 /// The one device of the tests. A missing adapter fails them.
@@ -62,14 +50,9 @@ fn gpu() -> &'static Gpu {
 fn gaussians() -> Gaussians {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut signed = || random.random_range(-1.0..1.0_f32);
-    let mut cloud = Gaussians {
-        sh_degree: 1,
-        ..Gaussians::default()
-    };
+    let mut cloud = Gaussians { sh_degree: 1, ..Gaussians::default() };
     for _ in 0..400 {
-        cloud
-            .means
-            .push([1.8, 1.2, 1.0].map(|size| size * signed()));
+        cloud.means.push([1.8, 1.2, 1.0].map(|size| size * signed()));
         cloud.log_scales.push([0; 3].map(|_| signed() - 2.6));
         cloud.quats.push([0; 4].map(|_| signed()));
         cloud.opacity_logits.push(2.0 * signed());
@@ -110,10 +93,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         let posed = PosedView {
             name: named.name,
             camera: other_world.camera(&camera),
-            lens: Lens {
-                intrinsics: camera.intrinsics,
-                distortion: Distortion::None,
-            },
+            lens: Lens { intrinsics: camera.intrinsics, distortion: Distortion::None },
         };
         (view, posed)
     });
@@ -155,10 +135,7 @@ fn the_true_scene_scores_perfectly_in_another_world() {
     let names: Vec<&str> = inside.views.iter().map(|v| v.name.as_str()).collect();
     assert_eq!(names, ["v1", "v3"]);
     let table = table(&inside);
-    assert!(
-        table.contains("| v3 |") && table.contains("| mean |"),
-        "{table}"
-    );
+    assert!(table.contains("| v3 |") && table.contains("| mean |"), "{table}");
     assert_eq!(csv(&inside).lines().count(), 3);
 }
 
@@ -170,20 +147,12 @@ fn a_wrong_camera_lowers_the_mapped_scores_only() {
         let [right, down, ..] = probes(camera, 3.0);
         let by =
             |i: usize| (if index % 2 == 1 { 1.0 } else { 0.0 }) * (8.0 * right[i] + 4.0 * down[i]);
-        Motion::default()
-            .plus(&std::array::from_fn(by))
-            .moved(camera)
+        Motion::default().plus(&std::array::from_fn(by)).moved(camera)
     };
     let evaluation = judge(&subject(), &truth(folder.path(), off), false).expect("judged");
     let (mapped, registered) = (&evaluation.mapped.all, &evaluation.registered.all);
     assert!(registered.psnr_db > mapped.psnr_db + 10.0, "{evaluation:?}");
-    assert!(
-        evaluation
-            .views
-            .iter()
-            .all(|v| (1.5..3.5).contains(&v.moved_px)),
-        "{evaluation:?}"
-    );
+    assert!(evaluation.views.iter().all(|v| (1.5..3.5).contains(&v.moved_px)), "{evaluation:?}");
 }
 
 #[test]
@@ -210,10 +179,7 @@ fn an_error_says_why_a_run_cannot_be_judged() {
     let two = cameras().into_iter().take(2).collect();
     let two = Subject::new(subject().gaussians, two, poses());
     let error = judge(&two, &truth, false).expect_err("two do not tie");
-    assert!(
-        matches!(error, EvaluationError::NotTied { tied: 2, views: 2 }),
-        "{error}"
-    );
+    assert!(matches!(error, EvaluationError::NotTied { tied: 2, views: 2 }), "{error}");
 }
 
 #[test]

@@ -60,11 +60,7 @@ impl Placed<'_> {
         if !file.exists() {
             return Err(EvaluationError::NoMask { path: file });
         }
-        let picture = CaptureView {
-            file,
-            gt: None,
-            ..self.photograph.clone()
-        };
+        let picture = CaptureView { file, gt: None, ..self.photograph.clone() };
         let mask = views::view(&picture, &self.posed, Split::HeldOut, size)?.dark;
         let holds = mask.plane(0).iter().map(|&v| v > 0.5).collect();
         Ok(Mask::new(mask.width(), mask.height(), holds))
@@ -103,16 +99,10 @@ impl Truth {
     pub fn open(folder: &Path, scratch: &Path) -> Result<Self, EvaluationError> {
         let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
         let capture = Capture::open(folder, scratch).map_err(fault)?;
-        let no_poses = || EvaluationError::NoPoses {
-            path: folder.to_owned(),
-        };
+        let no_poses = || EvaluationError::NoPoses { path: folder.to_owned() };
         let file = capture.poses.as_ref().ok_or_else(no_poses)?;
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-        let request = PoseRequest {
-            views: &views,
-            work_dir: scratch,
-            seed: 0,
-        };
+        let request = PoseRequest { views: &views, work_dir: scratch, seed: 0 };
         let poses = GivenPoses::open(file.path(), &capture.photographs)
             .and_then(|given| given.poses(&request, &mut Silent, &CancelToken::default()))
             .map_err(PipelineError::from)?;
@@ -142,10 +132,8 @@ impl Truth {
             Some((posed.camera, camera))
         });
         let (here, there): (Vec<Camera>, Vec<Camera>) = in_both.unzip();
-        let not_tied = || EvaluationError::NotTied {
-            tied: here.len(),
-            views: subject.training().count(),
-        };
+        let not_tied =
+            || EvaluationError::NotTied { tied: here.len(), views: subject.training().count() };
         if here.len() < LEAST_TIED {
             return Err(not_tied());
         }
@@ -193,10 +181,7 @@ impl Truth {
         subject: &Subject,
         tie: &Tie,
     ) -> Result<Vec<Placed<'_>>, EvaluationError> {
-        let wanted = self
-            .views
-            .iter()
-            .filter(|(view, _)| names.contains(&view.name.as_str()));
+        let wanted = self.views.iter().filter(|(view, _)| names.contains(&view.name.as_str()));
         let place = |(photograph, posed): &'_ (CaptureView, PosedView)| {
             let camera = tie.similarity.camera(&posed.camera);
             let lens = subject.lens(subject.nearest(&camera))?;
@@ -204,26 +189,16 @@ impl Truth {
                 intrinsics: lens.intrinsics.resized(photograph.width, photograph.height),
                 ..lens
             };
-            let camera = Camera {
-                intrinsics: lens.pinhole(),
-                ..camera
-            };
+            let camera = Camera { intrinsics: lens.pinhole(), ..camera };
             let name = posed.name.clone();
             Ok::<_, EvaluationError>(PosedView { name, camera, lens })
         };
-        let placed = wanted.map(|view| {
-            Ok(Placed {
-                photograph: &view.0,
-                posed: place(view)?,
-            })
-        });
+        let placed = wanted.map(|view| Ok(Placed { photograph: &view.0, posed: place(view)? }));
         placed.collect()
     }
 
     fn posed(&self, name: &str) -> Option<&PosedView> {
         let mut views = self.views.iter();
-        views
-            .find(|(view, _)| view.name == name)
-            .map(|(_, posed)| posed)
+        views.find(|(view, _)| view.name == name).map(|(_, posed)| posed)
     }
 }

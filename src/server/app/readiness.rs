@@ -48,23 +48,11 @@ pub async fn checks(app: &App) -> Vec<Check> {
     checks.extend(files(app).await);
     // Concurrent callers wait for one child process instead of starting several.
     let mut remembered = app.readiness.lock().await;
-    if remembered
-        .as_ref()
-        .is_none_or(|known| known.at.elapsed() > BELIEVED)
-    {
-        *remembered = Some(Remembered {
-            at: Instant::now(),
-            checks: doctor(app).await,
-        });
+    if remembered.as_ref().is_none_or(|known| known.at.elapsed() > BELIEVED) {
+        *remembered = Some(Remembered { at: Instant::now(), checks: doctor(app).await });
     }
     if let Some(known) = remembered.as_ref() {
-        checks.extend(
-            known
-                .checks
-                .iter()
-                .filter(|check| check.name != "disk")
-                .cloned(),
-        );
+        checks.extend(known.checks.iter().filter(|check| check.name != "disk").cloned());
     }
     checks
 }
@@ -82,10 +70,7 @@ async fn database(app: &App) -> Check {
             }
         },
         hint: outcome
-            .map_or(
-                "Check the permissions and free space of the data directory.",
-                |()| "",
-            )
+            .map_or("Check the permissions and free space of the data directory.", |()| "")
             .to_owned(),
     }
 }
@@ -104,10 +89,7 @@ async fn files(app: &App) -> Option<Check> {
             }
         },
         hint: outcome
-            .map_or(
-                "Check the store given by --store and its credentials.",
-                |()| "",
-            )
+            .map_or("Check the store given by --store and its credentials.", |()| "")
             .to_owned(),
     })
 }
@@ -115,23 +97,11 @@ async fn files(app: &App) -> Option<Check> {
 fn disk(app: &App) -> Check {
     let needed = app.limits.min_free_bytes;
     let (ok, detail) = match app.data.free_bytes() {
-        Ok(free) => (
-            free >= needed,
-            format!("{:.1} GiB free", free as f64 / f64::from(1 << 30)),
-        ),
+        Ok(free) => (free >= needed, format!("{:.1} GiB free", free as f64 / f64::from(1 << 30))),
         Err(error) => (false, error.to_string()),
     };
-    let hint = if ok {
-        String::new()
-    } else {
-        format!("Free at least {} MiB.", needed >> 20)
-    };
-    Check {
-        name: "disk".to_owned(),
-        ok,
-        detail,
-        hint,
-    }
+    let hint = if ok { String::new() } else { format!("Free at least {} MiB.", needed >> 20) };
+    Check { name: "disk".to_owned(), ok, detail, hint }
 }
 
 async fn doctor(app: &App) -> Vec<Check> {
@@ -143,21 +113,13 @@ async fn doctor(app: &App) -> Vec<Check> {
             checks
         }
         Ok(Err(detail)) => vec![unknown(detail)],
-        Err(_) => vec![unknown(format!(
-            "no answer within {} s",
-            PATIENCE.as_secs()
-        ))],
+        Err(_) => vec![unknown(format!("no answer within {} s", PATIENCE.as_secs()))],
     }
 }
 
 fn unknown(detail: String) -> Check {
     let hint = "Run `fled doctor` on the server.".to_owned();
-    Check {
-        name: "environment".to_owned(),
-        ok: false,
-        detail,
-        hint,
-    }
+    Check { name: "environment".to_owned(), ok: false, detail, hint }
 }
 
 async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {

@@ -37,10 +37,7 @@ impl Running {
     /// keeps its own entry.
     pub fn end(&self, lease: &Lease) {
         let mut jobs = self.lock();
-        if jobs
-            .get(&lease.job)
-            .is_some_and(|&(epoch, _)| epoch == lease.epoch)
-        {
+        if jobs.get(&lease.job).is_some_and(|&(epoch, _)| epoch == lease.epoch) {
             jobs.remove(&lease.job);
         }
     }
@@ -74,10 +71,7 @@ mod tests {
 
     #[tokio::test]
     async fn who_lost_a_job_does_not_forget_it_for_who_has_it_now() {
-        let lease = |epoch| Lease {
-            job: "j".to_owned(),
-            epoch,
-        };
+        let lease = |epoch| Lease { job: "j".to_owned(), epoch };
         let running = Running::default();
         running.begin(&lease(1));
         let notifier = running.begin(&lease(2));

@@ -16,9 +16,7 @@ pub fn planned() -> Result<Option<Watcher>, String> {
         return Ok(None);
     };
     let (name, times) = plan.split_once(':').unwrap_or((&plan, "1"));
-    let failpoint = Failpoint::ALL
-        .into_iter()
-        .find(|failpoint| failpoint.to_string() == name);
+    let failpoint = Failpoint::ALL.into_iter().find(|failpoint| failpoint.to_string() == name);
     let failpoint = failpoint.ok_or_else(|| format!("no such failpoint: {name}"))?;
     PLAN.get_or_init(|| (failpoint, times.parse().unwrap_or(1)));
     Ok(Some(pass))

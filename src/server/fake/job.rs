@@ -85,11 +85,7 @@ impl Job {
         });
         match self.plan.as_str() {
             "few_poses" => {
-                return fail(
-                    "few_poses",
-                    "3 of 20 photographs could be placed",
-                    "Take more.",
-                );
+                return fail("few_poses", "3 of 20 photographs could be placed", "Take more.");
             }
             "leak" => {
                 let detail = format!("{}: is damaged", self.capture.join("images").display());
@@ -104,18 +100,13 @@ impl Job {
         self.stage(Stage::Poses, 0)?;
         self.write_cameras()?;
         let code = "low_confidence".to_owned();
-        tell(&Event::Warning {
-            code,
-            message: "poses <b>may</b> be wrong".to_owned(),
-        });
+        tell(&Event::Warning { code, message: "poses <b>may</b> be wrong".to_owned() });
         for round in 1..=self.options.rounds {
             for stage in &Stage::ALL[1..] {
                 self.stage(*stage, round)?;
             }
             self.write_round(round)?;
-            tell(&Event::RoundFinished {
-                metrics: Box::new(metrics(round, self.has_truth())),
-            });
+            tell(&Event::RoundFinished { metrics: Box::new(metrics(round, self.has_truth())) });
             if self.plan == "crash-late" && self.first("crashed")? {
                 std::process::abort();
             }
@@ -141,13 +132,7 @@ impl Job {
             for done in first + 1..=TICKS {
                 sleep(self.tick_of(stage));
                 let steps_per_second = (stage == Stage::Reconstruct).then_some(25.0);
-                tell(&Event::StageAdvanced {
-                    stage,
-                    round,
-                    done,
-                    total: TICKS,
-                    steps_per_second,
-                });
+                tell(&Event::StageAdvanced { stage, round, done, total: TICKS, steps_per_second });
                 if stage == Stage::Reconstruct {
                     self.show_training(round, done)?;
                 }
@@ -168,10 +153,7 @@ impl Job {
         let index = Stage::ALL.iter().position(|&s| s == stage).unwrap_or(0) as f64;
         let progress =
             (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0) / f64::from(self.options.rounds);
-        tell(&Event::Progress {
-            progress,
-            eta_seconds: Some(10.0 * (1.0 - progress)),
-        });
+        tell(&Event::Progress { progress, eta_seconds: Some(10.0 * (1.0 - progress)) });
         Ok(())
     }
 
@@ -204,12 +186,7 @@ impl Job {
         };
         let picture = RunFolder::new(&self.output).work().live_picture();
         self.picture(&picture, view, 0.2 + 0.08 * done as f32)?;
-        tell(&Event::ViewSeen {
-            round,
-            step,
-            view: view.clone(),
-            held_out,
-        });
+        tell(&Event::ViewSeen { round, step, view: view.clone(), held_out });
         Ok(())
     }
 
@@ -218,11 +195,7 @@ impl Job {
         let trains = self.saved.as_ref().map(|_| Stage::Reconstruct.name());
         let plan = trains.unwrap_or(&self.plan);
         let lingers = Stage::ALL.iter().any(|stage| stage.name() == plan);
-        if lingers && stage.name() != plan {
-            Duration::from_millis(2)
-        } else {
-            self.tick
-        }
+        if lingers && stage.name() != plan { Duration::from_millis(2) } else { self.tick }
     }
 
     /// Returns whether the capture has ground truth.
@@ -239,32 +212,18 @@ impl Job {
     }
 
     fn write_cameras(&self) -> Outcome {
-        let k = Intrinsics {
-            width: 160,
-            height: 90,
-            fx: 120.0,
-            fy: 120.0,
-            cx: 80.0,
-            cy: 45.0,
-        };
+        let k = Intrinsics { width: 160, height: 90, fx: 120.0, fy: 120.0, cx: 80.0, cy: 45.0 };
         let cameras: Vec<NamedCamera> = self
             .names
             .iter()
             .enumerate()
             .map(|(i, name)| {
                 let eye = DVec3::new(i as f64 - 1.0, -0.5, -4.0);
-                let split = if i % 8 == 0 {
-                    Split::HeldOut
-                } else {
-                    Split::Train
-                };
+                let split = if i % 8 == 0 { Split::HeldOut } else { Split::Train };
                 NamedCamera::new(name, &Camera::look_at(k, eye, DVec3::ZERO, DVec3::Y), split)
             })
             .collect();
-        fs::write(
-            self.output.join("cameras.json"),
-            serde_json::to_vec(&cameras)?,
-        )?;
+        fs::write(self.output.join("cameras.json"), serde_json::to_vec(&cameras)?)?;
         self.write_points()?;
         let drawing = r#"<svg xmlns="http://www.w3.org/2000/svg" width="400" height="200"/>"#;
         fs::write(self.output.join("poses.svg"), drawing)?;
@@ -297,14 +256,8 @@ impl Job {
         for name in names {
             let gain = 0.6 + 0.15 * round as f32;
             for kind in RoundPictures::ALL {
-                let path = RunFolder::new(&self.output)
-                    .round(round)
-                    .picture(kind, name);
-                let less = if kind == RoundPictures::Enhanced {
-                    0.1
-                } else {
-                    0.0
-                };
+                let path = RunFolder::new(&self.output).round(round).picture(kind, name);
+                let less = if kind == RoundPictures::Enhanced { 0.1 } else { 0.0 };
                 self.picture(&path, name, gain - less)?;
             }
             let restored = RunFolder::new(&self.output).restored_view(name);
@@ -313,11 +266,7 @@ impl Job {
         let cameras = self.output.join("cameras.json");
         let of_round = self.output.join(format!("rounds/{round}/cameras.json"));
         fs::copy(cameras, of_round)?;
-        let scene = if self.plan == "bad_scene" {
-            "crash"
-        } else {
-            "ply"
-        };
+        let scene = if self.plan == "bad_scene" { "crash" } else { "ply" };
         self.write_scene(&format!("rounds/{round}/scene.ply"), scene)?;
         let verdict = |name| {
             serde_json::json!({ "name": name, "status": "registered", "matches": 40,
@@ -327,10 +276,7 @@ impl Job {
         let report = serde_json::json!({ "adapter": "played <i>adapter</i>",
             "seed": self.options.seed, "views": names.len(), "registered": names.len(),
             "poses": { "verdicts": verdicts } });
-        fs::write(
-            self.output.join("metrics.json"),
-            serde_json::to_vec(&report)?,
-        )?;
+        fs::write(self.output.join("metrics.json"), serde_json::to_vec(&report)?)?;
         Ok(())
     }
 
@@ -408,19 +354,9 @@ fn metrics(round: u32, has_truth: bool) -> RoundMetrics {
             let less = if split == Split::HeldOut { 1.5 } else { 0.0 };
             [
                 record(split, ImageKind::Enhanced, 16.0 - less, Reference::Gt),
-                record(
-                    split,
-                    ImageKind::Deblurred,
-                    18.0 + gain - less,
-                    Reference::Gt,
-                ),
+                record(split, ImageKind::Deblurred, 18.0 + gain - less, Reference::Gt),
                 record(split, ImageKind::Render, 19.0 + gain - less, Reference::Gt),
-                record(
-                    split,
-                    ImageKind::Render,
-                    26.0 + gain - less,
-                    Reference::Deblurred,
-                ),
+                record(split, ImageKind::Render, 26.0 + gain - less, Reference::Deblurred),
             ]
         })
         .filter(|record| has_truth || record.reference != Reference::Gt)

@@ -72,13 +72,8 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         video_command: command("video"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
-        ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
-            .unwrap_or_else(|| "ffmpeg".into())
-            .into(),
-        models: std::env::var_os("FLED_MODELS")
-            .into_iter()
-            .map(Into::into)
-            .collect(),
+        ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG").unwrap_or_else(|| "ffmpeg".into()).into(),
+        models: std::env::var_os("FLED_MODELS").into_iter().map(Into::into).collect(),
         retention: Retention {
             age: milliseconds("FLED_FAKE_KEEP_MS")?,
             jobs: None,
@@ -108,10 +103,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
 fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
     let descriptors = number("FLED_FAKE_DESCRIPTORS", 0)?;
     if descriptors > 0 {
-        let limit = Rlimit {
-            current: Some(descriptors),
-            maximum: Some(descriptors),
-        };
+        let limit = Rlimit { current: Some(descriptors), maximum: Some(descriptors) };
         setrlimit(Resource::Nofile, limit)?;
     }
     Ok(())
@@ -204,9 +196,7 @@ fn assess_worker() -> Result<(), Box<dyn std::error::Error>> {
     let request: AssessRequest = serde_json::from_str(&line)?;
     for name in ["crash.png", "endless.png"] {
         if request.dir.join("images").join(name).exists() {
-            say(&serde_json::to_string(&AssessReply::Begins(
-                name.to_owned(),
-            ))?);
+            say(&serde_json::to_string(&AssessReply::Begins(name.to_owned()))?);
             if name == "crash.png" {
                 std::process::abort();
             }

@@ -20,7 +20,5 @@ pub fn tell(event: &Event) {
 /// The value that follows an argument.
 pub fn argument(arguments: &[OsString], name: &str) -> Result<PathBuf, String> {
     let at = arguments.iter().position(|argument| argument == name);
-    at.and_then(|at| arguments.get(at + 1))
-        .map(PathBuf::from)
-        .ok_or(format!("{name} is missing"))
+    at.and_then(|at| arguments.get(at + 1)).map(PathBuf::from).ok_or(format!("{name} is missing"))
 }

@@ -29,20 +29,14 @@ impl Saved {
     pub fn new(path: PathBuf) -> Result<Self, Box<dyn Error>> {
         let asked = Arc::new(AtomicBool::new(false));
         let raised = asked.clone();
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_io()
-            .build()?;
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
         let mut told = runtime.block_on(async { signal(SignalKind::terminate()) })?;
         spawn(move || {
             runtime.block_on(told.recv());
             raised.store(true, Ordering::Relaxed);
         });
         let takes = std::env::var("FLED_FAKE_SAVING_MS").unwrap_or_else(|_| "0".to_owned());
-        Ok(Self {
-            path,
-            asked,
-            takes: Duration::from_millis(takes.parse()?),
-        })
+        Ok(Self { path, asked, takes: Duration::from_millis(takes.parse()?) })
     }
 
     /// The number of steps done before it resumes.

@@ -22,15 +22,8 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
     let views = Path::new(&arguments[0]).join("cameras.json");
     let views: Vec<NamedCamera> = serde_json::from_slice(&fs::read(views)?)?;
     let cameras = plan.cameras(&views)?;
-    let (program, file) = (
-        argument(arguments, "--ffmpeg")?,
-        argument(arguments, "--output")?,
-    );
-    let target = Target {
-        program: &program,
-        file: &file,
-        fps: plan.fps(),
-    };
+    let (program, file) = (argument(arguments, "--ffmpeg")?, argument(arguments, "--output")?);
+    let target = Target { program: &program, file: &file, fps: plan.fps() };
     let total = cameras.len();
     let picture = |number: usize, camera: &Camera| {
         match plan.fps() {
@@ -44,18 +37,12 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
             _ => {}
         }
         let done = (number + 1) as f64;
-        tell(&Event::Progress {
-            progress: done / total as f64,
-            eta_seconds: None,
-        });
+        tell(&Event::Progress { progress: done / total as f64, eta_seconds: None });
         Ok(drawn(camera, number as f32 / total as f32))
     };
     let outcome = write(&target, &cameras, picture);
     tell(&match &outcome {
-        Ok(()) => Event::Finished {
-            best_round: 0,
-            seconds: 0.0,
-        },
+        Ok(()) => Event::Finished { best_round: 0, seconds: 0.0 },
         Err(error) => Event::Failed {
             kind: "io".to_owned(),
             detail: error.to_string(),
@@ -72,11 +59,7 @@ fn drawn(camera: &Camera, share: f32) -> Image {
     for y in 0..height {
         for x in 0..width {
             let (x_share, y_share) = (x as f32 / width as f32, y as f32 / height as f32);
-            let bar = if (x_share - share).abs() < 0.05 {
-                0.5
-            } else {
-                0.0
-            };
+            let bar = if (x_share - share).abs() < 0.05 { 0.5 } else { 0.0 };
             picture.set(x, y, [0.2 + bar, 0.2 + 0.3 * y_share, 0.3 + bar]);
         }
     }

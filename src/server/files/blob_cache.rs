@@ -29,10 +29,7 @@ pub struct Copy {
 impl BlobCache {
     /// A cache of `blobs`, or none.
     pub fn new(blobs: Option<Blobs>) -> Self {
-        Self {
-            blobs,
-            ..Self::default()
-        }
+        Self { blobs, ..Self::default() }
     }
 
     /// The blob store, if there is one.

@@ -54,12 +54,7 @@ impl DataDir {
         if !data.is_ours() {
             return Err(ServerError::DataInUse(data.root));
         }
-        for dir in [
-            data.incoming(),
-            data.captures(),
-            data.jobs(),
-            data.uploads(),
-        ] {
+        for dir in [data.incoming(), data.captures(), data.jobs(), data.uploads()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
         }
         Ok(data)
@@ -150,8 +145,7 @@ impl DataDir {
     /// The folder of orphans of `kept`, which is the captures, the jobs or the uploads.
     pub fn unnamed(&self, kept: &Path) -> PathBuf {
         let unnamed = self.root.join("unnamed");
-        kept.file_name()
-            .map_or(unnamed.clone(), |kind| unnamed.join(kind))
+        kept.file_name().map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
     /// The folder that the jobs of a capture share: its poses.
@@ -260,10 +254,7 @@ mod tests {
     fn a_data_directory_admits_one_server_at_a_time() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let first = DataDir::open(dir.path()).expect("free");
-        assert!(matches!(
-            DataDir::open(dir.path()),
-            Err(ServerError::DataInUse(_))
-        ));
+        assert!(matches!(DataDir::open(dir.path()), Err(ServerError::DataInUse(_))));
         // As a process inherits it that is just being started.
         let lock = first.lock.as_ref().expect("its own");
         let _inherited = lock.0.try_clone().expect("open");

@@ -30,10 +30,7 @@ impl Uploads {
     pub fn begin(&self, parent: &Path) -> io::Result<Arc<Incoming>> {
         let path = parent.join(Uuid::now_v7().to_string());
         self.lock().insert(path.clone());
-        let incoming = Arc::new(Incoming {
-            path,
-            uploads: self.clone(),
-        });
+        let incoming = Arc::new(Incoming { path, uploads: self.clone() });
         fs::create_dir(&incoming.path)?;
         Ok(incoming)
     }

@@ -50,16 +50,9 @@ impl UploadLocks {
             state.wanted.cancel();
             return Err(state.clone());
         }
-        let state = State {
-            wanted: CancellationToken::new(),
-            released: CancellationToken::new(),
-        };
+        let state = State { wanted: CancellationToken::new(), released: CancellationToken::new() };
         locks.insert(id.to_owned(), state.clone());
-        Ok(UploadLock {
-            id: id.to_owned(),
-            state,
-            locks: self.clone(),
-        })
+        Ok(UploadLock { id: id.to_owned(), state, locks: self.clone() })
     }
 
     /// Whether a request uses the upload.
@@ -97,9 +90,7 @@ mod tests {
         let first = locks.take("a", short).await.expect("free");
         assert!(locks.take("b", short).await.is_some(), "another upload");
         assert!(locks.take("a", short).await.is_none(), "still in use");
-        tokio::time::timeout(short, first.wanted())
-            .await
-            .expect("the later request wants it");
+        tokio::time::timeout(short, first.wanted()).await.expect("the later request wants it");
         let long = Duration::from_secs(20);
         let others = locks.clone();
         let second = tokio::spawn(async move { others.take("a", long).await });

@@ -84,10 +84,7 @@ impl Visitor {
 
     /// Limits for a new job of theirs, with at most `queue` queued jobs.
     pub(super) fn room(&self, queue: u32) -> Room<'_> {
-        Room {
-            queue,
-            of_owner: self.owner().zip(self.quotas.jobs),
-        }
+        Room { queue, of_owner: self.owner().zip(self.quotas.jobs) }
     }
 
     /// The owner and their limit in bytes for captures and results; `None` for no limit.
@@ -105,10 +102,7 @@ struct Refused {
 
 impl<T: Into<Problem>> From<T> for Refused {
     fn from(problem: T) -> Self {
-        Self {
-            owner: None,
-            problem: problem.into(),
-        }
+        Self { owner: None, problem: problem.into() }
     }
 }
 
@@ -207,11 +201,7 @@ async fn check_shared(request: &mut Request, path: &str, job: &str) -> Result<()
         return Err(Problem::new(StatusCode::FORBIDDEN, "only_one_job", detail));
     }
     let named = named(request).await;
-    if named.as_deref() == Some(job) {
-        Ok(())
-    } else {
-        Err(Problem::not_found("job"))
-    }
+    if named.as_deref() == Some(job) { Ok(()) } else { Err(Problem::not_found("job")) }
 }
 
 /// The id in a path, decoded as the handler will decode it.
@@ -243,12 +233,7 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
 
 async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor, Refused> {
     if !app.store.has_tokens().await? {
-        return Ok(Visitor {
-            owner: None,
-            sees_all: true,
-            quotas: Quotas::default(),
-            token: None,
-        });
+        return Ok(Visitor { owner: None, sees_all: true, quotas: Quotas::default(), token: None });
     }
     let token = token_of(app, headers).await?.ok_or_else(|| {
         if headers.contains_key(header::AUTHORIZATION) || session(headers).is_some() {
@@ -297,9 +282,8 @@ pub(super) async fn token_of(app: &App, headers: &HeaderMap) -> Result<Option<To
 /// The session in a browser's cookie.
 pub(super) fn session(headers: &HeaderMap) -> Option<&str> {
     let cookies = headers.get_all(header::COOKIE).iter();
-    let mut cookies = cookies
-        .filter_map(|value| value.to_str().ok())
-        .flat_map(|value| value.split(';'));
+    let mut cookies =
+        cookies.filter_map(|value| value.to_str().ok()).flat_map(|value| value.split(';'));
     cookies.find_map(|cookie| {
         let (name, value) = cookie.trim().split_once('=')?;
         (name == COOKIE && !value.is_empty()).then_some(value)
@@ -320,9 +304,7 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
         return None;
     }
     let (scheme, token) = value.split_once(' ')?;
-    scheme
-        .eq_ignore_ascii_case("bearer")
-        .then_some(token.trim())
+    scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
 }
 
 fn unauthorized(code: &'static str, detail: &str) -> Problem {
@@ -386,10 +368,7 @@ mod tests {
             headers.append(header::COOKIE, value.parse().expect("header"));
             session(&headers).map(str::to_owned)
         };
-        assert_eq!(
-            of("a=b; fled_session=fled_1; c=d").as_deref(),
-            Some("fled_1")
-        );
+        assert_eq!(of("a=b; fled_session=fled_1; c=d").as_deref(), Some("fled_1"));
         assert_eq!(of("fled_session="), None);
         assert_eq!(of("xfled_session=1; fled_sessions=2"), None);
     }

@@ -61,10 +61,8 @@ pub async fn list(
             collect(&output, "", &mut names).map(|()| names)
         }
     });
-    let mut names = names
-        .await
-        .map_err(|_| Problem::internal())?
-        .map_err(ServerError::io(&output))?;
+    let mut names =
+        names.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(&output))?;
     let folder = app.data.output(&id);
     names.retain(|name| may_see(&visitor, &folder, name));
     names.sort();
@@ -141,10 +139,8 @@ impl Stored {
             return Ok(None);
         }
         let bytes = metadata.len();
-        let modified = metadata
-            .modified()
-            .ok()
-            .and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let modified =
+            metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         let modified_ns = i64::try_from(modified.unwrap_or_default().as_nanos()).unwrap_or(0);
         let size = i64::try_from(bytes).unwrap_or(i64::MAX);
         let sha256 = match app.store.digest(id, name, size, modified_ns).await? {
@@ -152,31 +148,20 @@ impl Stored {
             None => {
                 let source = path.clone();
                 let digest = tokio::task::spawn_blocking(move || sha256(&source)).await;
-                let digest = digest
-                    .map_err(|_| Problem::internal())?
-                    .map_err(ServerError::io(&path))?;
-                app.store
-                    .remember_digest(id, (name, size, modified_ns), &digest)
-                    .await?;
+                let digest =
+                    digest.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
+                app.store.remember_digest(id, (name, size, modified_ns), &digest).await?;
                 digest
             }
         };
-        Ok(Some(Self {
-            path,
-            bytes,
-            sha256,
-        }))
+        Ok(Some(Self { path, bytes, sha256 }))
     }
 }
 
 fn sha256(path: &FilePath) -> io::Result<String> {
     let mut hasher = Sha256::new();
     io::copy(&mut fs::File::open(path)?, &mut hasher)?;
-    Ok(hasher
-        .finalize()
-        .iter()
-        .map(|byte| format!("{byte:02x}"))
-        .collect())
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// Resolves a public file name, if it really lies below `output`.
@@ -185,10 +170,7 @@ fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
         return None;
     }
     // Canonicalised: a symbolic link must not lead out.
-    let (root, path) = (
-        output.canonicalize().ok()?,
-        output.join(name).canonicalize().ok()?,
-    );
+    let (root, path) = (output.canonicalize().ok()?, output.join(name).canonicalize().ok()?);
     path.starts_with(&root).then_some(path)
 }
 

@@ -133,24 +133,12 @@ pub async fn list(
 ) -> Result<axum::Json<Captures>, Problem> {
     let limit = page_size(query.limit)?;
     let cursor = id(query.cursor.as_deref(), "cursor")?;
-    let rows = app
-        .store
-        .captures(limit + 1, cursor.as_deref(), visitor.sees_only())
-        .await?;
+    let rows = app.store.captures(limit + 1, cursor.as_deref(), visitor.sees_only()).await?;
     let more = rows.len() > limit as usize;
-    let captures: Vec<Capture> = rows
-        .into_iter()
-        .take(limit as usize)
-        .map(Capture::from_row)
-        .collect();
-    let next_cursor = captures
-        .last()
-        .filter(|_| more)
-        .and_then(|last| last.id.clone());
-    Ok(axum::Json(Captures {
-        captures,
-        next_cursor,
-    }))
+    let captures: Vec<Capture> =
+        rows.into_iter().take(limit as usize).map(Capture::from_row).collect();
+    let next_cursor = captures.last().filter(|_| more).and_then(|last| last.id.clone());
+    Ok(axum::Json(Captures { captures, next_cursor }))
 }
 
 /// Shows a capture and its assessments.
@@ -163,11 +151,7 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<axum::Json<Capture>, Problem> {
-    let row = app
-        .store
-        .capture(&id)
-        .await?
-        .ok_or_else(|| Problem::not_found("capture"))?;
+    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
     Ok(axum::Json(Capture::from_row(row)))
 }
 
@@ -182,11 +166,7 @@ pub async fn delete(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<StatusCode, Problem> {
-    let row = app
-        .store
-        .capture(&id)
-        .await?
-        .ok_or_else(|| Problem::not_found("capture"))?;
+    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
     if !app.store.delete_capture(&row.id).await? {
         let is_there = app.store.capture(&row.id).await?.is_some();
         return Err(match is_there {

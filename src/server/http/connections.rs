@@ -105,9 +105,7 @@ fn full() -> Vec<u8> {
 fn places(asked: usize) -> usize {
     let descriptors = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     let possible = descriptors.saturating_sub(DESCRIPTORS) / 2;
-    asked
-        .min(usize::try_from(possible).unwrap_or(usize::MAX))
-        .max(1)
+    asked.min(usize::try_from(possible).unwrap_or(usize::MAX)).max(1)
 }
 
 /// Answers the requests of one connection.
@@ -182,12 +180,7 @@ struct Place {
 
 impl Places {
     fn new(most: usize) -> Self {
-        Self {
-            most,
-            began: Instant::now(),
-            taken: Mutex::default(),
-            next: AtomicU64::new(0),
-        }
+        Self { most, began: Instant::now(), taken: Mutex::default(), next: AtomicU64::new(0) }
     }
 
     /// Takes a free place, or that of the connection idle longest; `None` if all are busy.
@@ -210,20 +203,14 @@ impl Places {
         state.rest();
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         taken.insert(number, state.clone());
-        Some(Place {
-            number,
-            state,
-            places: self.clone(),
-        })
+        Some(Place { number, state, places: self.clone() })
     }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
         let taken = self.places.taken.lock();
-        taken
-            .unwrap_or_else(PoisonError::into_inner)
-            .remove(&self.number);
+        taken.unwrap_or_else(PoisonError::into_inner).remove(&self.number);
     }
 }
 

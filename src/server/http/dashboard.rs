@@ -99,22 +99,17 @@ fn takes_gzip(headers: &HeaderMap) -> bool {
     let words = accepted.filter_map(|value| value.to_str().ok());
     words.flat_map(|words| words.split(',')).any(|word| {
         let (coding, weight) = word.split_once(';').unwrap_or((word, ""));
-        let is_refused = weight.trim().strip_prefix("q=").is_some_and(|weight| {
-            weight
-                .trim()
-                .parse::<f32>()
-                .is_ok_and(|weight| weight == 0.0)
-        });
+        let is_refused = weight
+            .trim()
+            .strip_prefix("q=")
+            .is_some_and(|weight| weight.trim().parse::<f32>().is_ok_and(|weight| weight == 0.0));
         coding.trim().eq_ignore_ascii_case("gzip") && !is_refused
     })
 }
 
 fn gzipped(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
-    encoder
-        .write_all(bytes)
-        .and_then(|()| encoder.finish())
-        .expect("memory takes every byte")
+    encoder.write_all(bytes).and_then(|()| encoder.finish()).expect("memory takes every byte")
 }
 
 #[cfg(test)]
@@ -134,9 +129,7 @@ mod tests {
     fn gzip_keeps_every_file_and_halves_their_size() {
         for asset in ASSETS.values() {
             let mut read = Vec::new();
-            GzDecoder::new(asset.gzipped.as_slice())
-                .read_to_end(&mut read)
-                .expect("gzip");
+            GzDecoder::new(asset.gzipped.as_slice()).read_to_end(&mut read).expect("gzip");
             assert!(read == *asset.plain);
         }
         let texts = || ASSETS.iter().filter(|(name, _)| !name.ends_with(".webp"));

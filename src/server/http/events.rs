@@ -72,10 +72,7 @@ pub async fn stream(
     let versions = app.store.changes();
     let job = find(&app, &id).await?;
     let last = match headers.get("last-event-id") {
-        Some(value) => value
-            .to_str()
-            .ok()
-            .and_then(|text| text.trim().parse().ok()),
+        Some(value) => value.to_str().ok().and_then(|text| text.trim().parse().ok()),
         None => Some(query.after.unwrap_or(0)),
     };
     // An invalid number is rejected wherever it stands.
@@ -95,9 +92,7 @@ pub async fn stream(
         checked: Instant::now(),
     };
     let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
-    Ok(Sse::new(cursor.into_stream())
-        .keep_alive(keep_alive)
-        .into_response())
+    Ok(Sse::new(cursor.into_stream()).keep_alive(keep_alive).into_response())
 }
 
 /// Checks that `last` is the number of an event of the job; 0 is before the first.
@@ -106,20 +101,12 @@ async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
         return Ok(0);
     }
     if let Some(last) = last.filter(|&last| last > 0)
-        && app
-            .store
-            .events_after(id, last - 1, 1)
-            .await?
-            .iter()
-            .any(|event| event.seq == last)
+        && app.store.events_after(id, last - 1, 1).await?.iter().any(|event| event.seq == last)
     {
         return Ok(last);
     }
-    Err(Problem::unprocessable(
-        "bad_input",
-        "`Last-Event-ID` does not name an event of this job.",
-    )
-    .hint("Leave it out to receive every event."))
+    Err(Problem::unprocessable("bad_input", "`Last-Event-ID` does not name an event of this job.")
+        .hint("Leave it out to receive every event."))
 }
 
 struct Cursor {

@@ -122,10 +122,7 @@ pub async fn download(
     });
     let headers = [
         (header::CONTENT_TYPE, media_type(export).to_owned()),
-        (
-            header::CONTENT_DISPOSITION,
-            format!("attachment; filename=\"{}\"", export.name()),
-        ),
+        (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", export.name())),
     ];
     let body = Body::from_stream(poll_fn(move |context| pieces.poll_recv(context)));
     Ok((headers, body).into_response())

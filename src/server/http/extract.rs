@@ -52,9 +52,8 @@ pub fn is_json(headers: &HeaderMap) -> bool {
 /// Whether a request says that its body is of a media type, in whatever case.
 pub fn is_of_type(headers: &HeaderMap, wanted: &str) -> bool {
     let value = headers.get(header::CONTENT_TYPE);
-    let kind = value
-        .and_then(|value| value.to_str().ok())
-        .and_then(|value| value.split(';').next());
+    let kind =
+        value.and_then(|value| value.to_str().ok()).and_then(|value| value.split(';').next());
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(wanted))
 }
 
@@ -82,9 +81,8 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
         let pairs = axum::extract::Query::<Vec<(String, String)>>::from_request_parts(parts, state);
-        let axum::extract::Query(pairs) = pairs
-            .await
-            .map_err(|_| bad_request("The query cannot be read."))?;
+        let axum::extract::Query(pairs) =
+            pairs.await.map_err(|_| bad_request("The query cannot be read."))?;
         for (key, text) in &pairs {
             let pointer = below(key, "");
             check_text(key, &pointer)?;
@@ -103,8 +101,8 @@ fn unfit(fault: &Fault, whole: &str) -> Problem {
     let hint = "See /openapi.yaml for what the server reads.";
     match fault.pointer.as_str() {
         "" => Problem::unprocessable("bad_input", format!("{whole} {}.", fault.words)).hint(hint),
-        pointer => Problem::unprocessable("bad_input", format!("{fault}."))
-            .pointer(pointer)
-            .hint(hint),
+        pointer => {
+            Problem::unprocessable("bad_input", format!("{fault}.")).pointer(pointer).hint(hint)
+        }
     }
 }

@@ -35,10 +35,6 @@ pub async fn live() -> &'static str {
 pub async fn ready(State(app): State<Arc<App>>) -> Response {
     let checks = checks(&app).await;
     let ready = checks.iter().all(|check| check.ok);
-    let status = if ready {
-        StatusCode::OK
-    } else {
-        StatusCode::SERVICE_UNAVAILABLE
-    };
+    let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     (status, axum::Json(Readiness { ready, checks })).into_response()
 }

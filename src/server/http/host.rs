@@ -56,9 +56,7 @@ fn is_known(uri: &Uri, headers: &HeaderMap, hosts: &[String]) -> bool {
 
 fn is_own(host: &str, hosts: &[String]) -> bool {
     let host = host.strip_suffix('.').unwrap_or(host);
-    let in_brackets = host
-        .strip_prefix('[')
-        .and_then(|host| host.strip_suffix(']'));
+    let in_brackets = host.strip_prefix('[').and_then(|host| host.strip_suffix(']'));
     host.parse::<Ipv4Addr>().is_ok()
         || in_brackets.is_some_and(|host| host.parse::<Ipv6Addr>().is_ok())
         || host.eq_ignore_ascii_case("localhost")

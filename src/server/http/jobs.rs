@@ -156,16 +156,10 @@ pub async fn create(
     };
     let location = format!("/v1/jobs/{}", row.id);
     let job = told(&app, &row.id).await?;
-    let mut response = (
-        StatusCode::ACCEPTED,
-        [(header::LOCATION, location)],
-        axum::Json(job),
-    )
-        .into_response();
+    let mut response =
+        (StatusCode::ACCEPTED, [(header::LOCATION, location)], axum::Json(job)).into_response();
     if replayed {
-        response
-            .headers_mut()
-            .insert("idempotent-replayed", HeaderValue::from_static("true"));
+        response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
     }
     Ok(response)
 }
@@ -199,23 +193,15 @@ async fn from_json(
         &options,
         body.name.as_deref().unwrap_or_default(),
     ];
-    let fingerprint = blake3::hash(parts.join("\n").as_bytes())
-        .to_hex()
-        .to_string();
+    let fingerprint = blake3::hash(parts.join("\n").as_bytes()).to_hex().to_string();
     let order = Order::new(app, body.preset.as_deref(), &body.options, priority).await?;
     order.check_views(&report(&capture))?;
     let job = order.job(
         app,
         &capture.id,
-        body.name
-            .as_deref()
-            .filter(|name| !name.is_empty())
-            .unwrap_or(&capture.name),
+        body.name.as_deref().filter(|name| !name.is_empty()).unwrap_or(&capture.name),
     )?;
-    let made = app
-        .store
-        .create_job(&job, key, &fingerprint, visitor.room(app.limits.queue))
-        .await;
+    let made = app.store.create_job(&job, key, &fingerprint, visitor.room(app.limits.queue)).await;
     made.map_err(not_made)
 }
 
@@ -243,11 +229,7 @@ async fn from_upload(
     let fields = ["name", "frames", "preset", OPTIONS, "priority"];
     let upload = upload::receive(app, request, &fields, most).await?;
     let options = options_of(&upload)?;
-    let preset = upload
-        .fields
-        .get("preset")
-        .cloned()
-        .filter(|preset| !preset.is_empty());
+    let preset = upload.fields.get("preset").cloned().filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
     let priority = Priority::field(upload.fields.get("priority"), &visitor)?;
     // Check options before the photographs, so that a typo is reported at once.
@@ -259,10 +241,7 @@ async fn from_upload(
         let capture = upload.keep(&app, &report, &visitor).await?;
         let job = order.job(&app, &capture.id, &capture.name)?;
         let room = visitor.room(app.limits.queue);
-        let creation = app
-            .store
-            .create_job(&job, key.as_deref(), &fingerprint, room)
-            .await;
+        let creation = app.store.create_job(&job, key.as_deref(), &fingerprint, room).await;
         // A replayed request already has a job with its own capture, and a refused one must not
         // leave a capture without a job: delete this copy.
         if !matches!(creation, Ok(Creation::Created(_)))
@@ -334,11 +313,8 @@ pub async fn list(
     let limit = page_size(query.limit)?;
     let cursor = id(query.cursor.as_deref(), "cursor")?;
     let capture = id(query.capture_id.as_deref(), "capture_id")?;
-    let only = JobFilter {
-        state: query.state,
-        capture: capture.as_deref(),
-        owner: visitor.sees_only(),
-    };
+    let only =
+        JobFilter { state: query.state, capture: capture.as_deref(), owner: visitor.sees_only() };
     let told = app.store.jobs(only, limit + 1, cursor.as_deref());
     let mut told = told.await?;
     let more = told.len() > limit as usize;
@@ -428,6 +404,5 @@ pub(super) fn over(row: &JobRow) -> Problem {
 /// Returns the job as answered, or 404.
 pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
     let told = app.store.told_job(id).await?;
-    told.map(Job::from_told)
-        .ok_or_else(|| Problem::not_found("job"))
+    told.map(Job::from_told).ok_or_else(|| Problem::not_found("job"))
 }

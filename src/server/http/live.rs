@@ -44,10 +44,7 @@ pub async fn show(
         Err(error) => return Err(ServerError::io(&path)(error).into()),
     };
     let etag = format!("\"{}\"", &blake3::hash(&picture).to_hex()[..32]);
-    let common = [
-        (header::ETAG, etag.clone()),
-        (header::CONTENT_TYPE, "image/jpeg".to_owned()),
-    ];
+    let common = [(header::ETAG, etag.clone()), (header::CONTENT_TYPE, "image/jpeg".to_owned())];
     if is_known(&headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, common).into_response());
     }

@@ -60,21 +60,13 @@ pub async fn show(
     within(limit, LARGEST_PAGE)?;
     if offset > i64::MAX as u64 {
         // No log is that long, and not every client can represent such a number exactly.
-        return Err(
-            Problem::unprocessable("bad_input", "`offset` is too large for any log.")
-                .pointer("/offset"),
-        );
+        return Err(Problem::unprocessable("bad_input", "`offset` is too large for any log.")
+            .pointer("/offset"));
     }
     let read = {
         let path = path.clone();
         tokio::task::spawn_blocking(move || read_page(&path, offset, limit)).await
     };
-    let page = read
-        .map_err(|_| Problem::internal())?
-        .map_err(ServerError::io(&path))?;
-    Ok(axum::Json(LogPage {
-        lines: page.lines,
-        next_offset: page.next_offset,
-        end: page.end,
-    }))
+    let page = read.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
+    Ok(axum::Json(LogPage { lines: page.lines, next_offset: page.next_offset, end: page.end }))
 }

@@ -46,15 +46,9 @@ pub async fn show(
 ) -> Result<axum::Json<Session>, Problem> {
     let needed = app.store.has_tokens().await?;
     let token = token_of(&app, &headers).await?;
-    let (scopes, job) = token
-        .map(|token| (token.scopes.to_string(), token.job))
-        .unzip();
+    let (scopes, job) = token.map(|token| (token.scopes.to_string(), token.job)).unzip();
     let job = job.flatten();
-    Ok(axum::Json(Session {
-        needed,
-        scopes,
-        job,
-    }))
+    Ok(axum::Json(Session { needed, scopes, job }))
 }
 
 /// Starts a session with a token.
@@ -65,10 +59,7 @@ pub async fn login(
     headers: HeaderMap,
     Json(body): Json<Login>,
 ) -> Result<Response, Problem> {
-    let token = app
-        .store
-        .token_that_holds(&digest(body.token.trim()))
-        .await?;
+    let token = app.store.token_that_holds(&digest(body.token.trim())).await?;
     let token = token.ok_or_else(bad_token)?;
     let secret = Secret::new().map_err(|error| {
         tracing::error!(%error, "cannot start a session");
@@ -77,9 +68,7 @@ pub async fn login(
     // A new login leaves no old session behind.
     end(&app, &headers).await?;
     let ends = app.store.now().await? + LASTS * 1000;
-    app.store
-        .insert_session(&secret.digest(), &token.id, ends)
-        .await?;
+    app.store.insert_session(&secret.digest(), &token.id, ends).await?;
     Ok(answer(&headers, secret.reveal(), LASTS))
 }
 
@@ -99,9 +88,8 @@ async fn end(app: &App, headers: &HeaderMap) -> Result<(), Problem> {
 /// 204 with the session cookie.
 fn answer(headers: &HeaderMap, session: &str, seconds: i64) -> Response {
     // Only a proxy knows whether the browser uses TLS; one that lies harms only itself.
-    let is_tls = headers
-        .get("x-forwarded-proto")
-        .is_some_and(|scheme| scheme.as_bytes() == b"https");
+    let is_tls =
+        headers.get("x-forwarded-proto").is_some_and(|scheme| scheme.as_bytes() == b"https");
     let secure = if is_tls { "; Secure" } else { "" };
     let name = super::access::COOKIE;
     let cookie =

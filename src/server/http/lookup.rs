@@ -11,10 +11,7 @@ use crate::store::state::JobState;
 
 /// Returns the job, or 404.
 pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
-    app.store
-        .job(id)
-        .await?
-        .ok_or_else(|| Problem::not_found("job"))
+    app.store.job(id).await?.ok_or_else(|| Problem::not_found("job"))
 }
 
 /// Returns the requested round if it is finished, or `None` for the result of a finished job.
@@ -53,9 +50,7 @@ pub(super) async fn cameras_of(output: &RunFolder) -> Result<Vec<NamedCamera>, P
         }
         ServerError::io(&path)(source).into()
     })?;
-    let cameras = serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
-        what: "cameras.json",
-        detail: error.to_string(),
-    });
+    let cameras = serde_json::from_slice(&text)
+        .map_err(|error| ServerError::Damaged { what: "cameras.json", detail: error.to_string() });
     Ok(cameras?)
 }

@@ -23,10 +23,7 @@ const REQUEST_ID: &str = "x-request-id";
     responses((status = 200, description = "Metrics in the OpenMetrics format", body = String, content_type = "application/openmetrics-text")))]
 pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let jobs = app.store.jobs_by_state().await?;
-    let jobs: Vec<_> = jobs
-        .iter()
-        .map(|(state, count)| (state.name(), *count))
-        .collect();
+    let jobs: Vec<_> = jobs.iter().map(|(state, count)| (state.name(), *count)).collect();
     let waits = app.store.waits(app.limits.lease).await?;
     let workers = app.store.workers().await?;
     let lost_before = app.store.now().await? - waits.lease_ms;
@@ -37,10 +34,7 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
         free_bytes: app.data.free_bytes().ok(),
         lease_age: waits.lease_age,
         waiting: waits.waiting,
-        workers: vec![
-            ("works", count(workers.len() - lost)),
-            ("lost", count(lost)),
-        ],
+        workers: vec![("works", count(workers.len() - lost)), ("lost", count(lost))],
         steps: workers
             .into_iter()
             .map(|worker| {

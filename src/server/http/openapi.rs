@@ -143,10 +143,7 @@ fn refuse(operation: &mut Operation, path: &str) {
     if path.starts_with("/v1/") || path == "/metrics" {
         refusals.push(("401", "A valid token is required"));
         refusals.push(("403", "The token lacks the required scope"));
-        refusals.push((
-            "429",
-            "Too many requests; `Retry-After` says when to try again",
-        ));
+        refusals.push(("429", "Too many requests; `Retry-After` says when to try again"));
         let needs = SecurityRequirement::new::<_, [&str; 0], &str>(TOKEN, []);
         // No token is required while none exists.
         operation.security = Some(vec![SecurityRequirement::default(), needs]);
@@ -214,9 +211,7 @@ mod tests {
         let of_path = |(path, item): (&String, &Value)| {
             let methods = item.as_object().expect("operations").clone();
             let path = path.clone();
-            methods
-                .into_iter()
-                .map(move |(method, operation)| (path.clone(), method, operation))
+            methods.into_iter().map(move |(method, operation)| (path.clone(), method, operation))
         };
         paths.iter().flat_map(of_path).collect()
     }
@@ -254,21 +249,14 @@ mod tests {
             assert_eq!(in_path.len(), path.matches('{').count(), "{name}");
             let answers = operation["responses"].as_object().expect("answers");
             let has_body = operation["requestBody"].is_object();
-            let is_asked = parameters
-                .iter()
-                .any(|parameter| parameter["in"] == "query");
+            let is_asked = parameters.iter().any(|parameter| parameter["in"] == "query");
             assert!(!has_body || answers.contains_key("415"), "{name}");
-            assert!(
-                !(has_body || is_asked) || answers.contains_key("400"),
-                "{name}"
-            );
+            assert!(!(has_body || is_asked) || answers.contains_key("400"), "{name}");
         }
         let mut found = Vec::new();
         references(&api, &mut found);
         for target in found {
-            let target = target
-                .strip_prefix('#')
-                .expect("a reference into the document");
+            let target = target.strip_prefix('#').expect("a reference into the document");
             assert!(api.pointer(target).is_some(), "{target} does not exist");
         }
     }
@@ -290,17 +278,9 @@ mod tests {
     fn every_operation_has_an_example() {
         let api = serde_json::to_value(api()).expect("plain data");
         for (path, method, operation) in operations(&api) {
-            let bodies = [
-                "/requestBody",
-                "/responses/200",
-                "/responses/201",
-                "/responses/202",
-            ];
+            let bodies = ["/requestBody", "/responses/200", "/responses/201", "/responses/202"];
             let bodies = bodies.map(|body| operation.pointer(body));
-            let contents = bodies
-                .iter()
-                .flatten()
-                .filter_map(|body| body["content"].as_object());
+            let contents = bodies.iter().flatten().filter_map(|body| body["content"].as_object());
             let contents: Vec<&Value> = contents.flat_map(|content| content.values()).collect();
             let parameters = operation["parameters"].as_array();
             let parameters: Vec<&Value> = parameters.into_iter().flatten().collect();

@@ -31,10 +31,7 @@ mod tests {
     #[tokio::test]
     async fn the_schema_names_its_draft_and_presets_set_every_option() {
         let Json(schema) = show().await.expect("schema");
-        assert_eq!(
-            schema["$schema"],
-            "https://json-schema.org/draft/2020-12/schema"
-        );
+        assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
         assert_eq!(schema["properties"]["rounds"]["minimum"], 1);
         let keys = |value: &Value| {
             let mut keys: Vec<String> =
@@ -43,10 +40,7 @@ mod tests {
             keys
         };
         for preset in Preset::ALL {
-            assert_eq!(
-                keys(&schema["presets"][preset.name()]),
-                keys(&schema["properties"])
-            );
+            assert_eq!(keys(&schema["presets"][preset.name()]), keys(&schema["properties"]));
         }
     }
 }

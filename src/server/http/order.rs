@@ -42,10 +42,8 @@ impl Order {
             .unwrap_or(Preset::Standard.name())
             .parse()
             .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
-        let options = preset
-            .options()
-            .with_overrides(options)
-            .map_err(|error| bad_option(&error))?;
+        let options =
+            preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
         Self::checked(app, preset, options, priority).await
     }
 
@@ -65,9 +63,8 @@ impl Order {
         // The request may replace a value that only an older build accepted.
         let mut all = Options::known(&row.options);
         all.extend(options.clone());
-        let options = Options::default()
-            .with_overrides(&all)
-            .map_err(|error| bad_option(&error))?;
+        let options =
+            Options::default().with_overrides(&all).map_err(|error| bad_option(&error))?;
         Self::checked(app, preset, options, Priority::of(row.priority)).await
     }
 
@@ -86,14 +83,8 @@ impl Order {
                 .filter(|option| option.choice.is_network())
                 .try_for_each(|option| check_network(&folders, option))
         };
-        tokio::task::spawn_blocking(check)
-            .await
-            .map_err(|_| Problem::internal())??;
-        Ok(Self {
-            preset,
-            options,
-            priority,
-        })
+        tokio::task::spawn_blocking(check).await.map_err(|_| Problem::internal())??;
+        Ok(Self { preset, options, priority })
     }
 
     /// Returns whether the stored options, possibly of an older build, are the same.
@@ -154,10 +145,7 @@ impl Order {
     /// paper takes days without a GPU.
     fn needs(&self, app: &App) -> Needs {
         match (app.store.engine(), self.preset) {
-            (Engine::Postgres, Preset::Paper) => Needs {
-                gpu: true,
-                memory: PAPER_MEMORY,
-            },
+            (Engine::Postgres, Preset::Paper) => Needs { gpu: true, memory: PAPER_MEMORY },
             _ => Needs::default(),
         }
     }
@@ -167,10 +155,7 @@ impl Order {
 fn check_words(options: &Options) -> Result<(), Problem> {
     let target: Result<Target, _> = options.target.parse();
     target.map_err(|error| {
-        bad_option(&OptionsError {
-            key: "target".to_owned(),
-            message: error.to_string(),
-        })
+        bad_option(&OptionsError { key: "target".to_owned(), message: error.to_string() })
     })?;
     if options.adapter.chars().count() > LONGEST_ADAPTER {
         return Err(bad_option(&OptionsError {
@@ -183,12 +168,8 @@ fn check_words(options: &Options) -> Result<(), Problem> {
 
 /// Checks that a network is chosen by name: a path would let a client probe the server's files.
 fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
-    let refused = |message: String| {
-        bad_option(&OptionsError {
-            key: option.key.to_owned(),
-            message,
-        })
-    };
+    let refused =
+        |message: String| bad_option(&OptionsError { key: option.key.to_owned(), message });
     let (choice, names) = (option.choice.as_str(), network_names(folders));
     let built_in = choice == BUILT_IN || *option.choice == NetworkChoice::Default;
     if built_in && option.key == "enhance" {

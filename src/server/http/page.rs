@@ -25,10 +25,8 @@ pub(super) fn within(limit: usize, most: usize) -> Result<(), Problem> {
     if (1..=most).contains(&limit) {
         return Ok(());
     }
-    Err(
-        Problem::unprocessable("bad_input", format!("`limit` must be from 1 to {most}."))
-            .pointer("/limit"),
-    )
+    Err(Problem::unprocessable("bad_input", format!("`limit` must be from 1 to {most}."))
+        .pointer("/limit"))
 }
 
 /// An id in a query, written as the database has it.

@@ -69,9 +69,7 @@ fn bad(shown: &str) -> Problem {
     let detail = format!("`{shown}` is not a priority.");
     Problem::unprocessable("bad_input", detail)
         .pointer("/priority")
-        .hint(format!(
-            "Send a whole number from -{MOST} to {MOST}; the default is 0."
-        ))
+        .hint(format!("Send a whole number from -{MOST} to {MOST}; the default is 0."))
 }
 
 fn above_others() -> Problem {

@@ -35,12 +35,7 @@ pub(super) async fn bytes_left_beside(
     } else {
         bytes_here(app, owner).await?
     };
-    let held = held
-        + app
-            .store
-            .bytes_of_uploads(owner)
-            .await?
-            .saturating_sub(uploads);
+    let held = held + app.store.bytes_of_uploads(owner).await?.saturating_sub(uploads);
     match most.checked_sub(held).filter(|left| *left > 0) {
         Some(left) => Ok(Some(left)),
         None => Err(over_quota()),
@@ -51,14 +46,10 @@ pub(super) async fn bytes_left_beside(
 async fn bytes_here(app: &App, owner: &str) -> Result<u64, Problem> {
     let (captures, jobs) = app.store.belongings(owner).await?;
     let captures = captures.iter().map(|id| app.data.capture(id));
-    let folders: Vec<PathBuf> = captures
-        .chain(jobs.iter().map(|id| app.data.job(id)))
-        .collect();
+    let folders: Vec<PathBuf> = captures.chain(jobs.iter().map(|id| app.data.job(id))).collect();
     let held = tokio::task::spawn_blocking(move || {
         folders.iter().try_fold(0, |sum, folder| {
-            bytes_below(folder)
-                .map(|bytes| sum + bytes)
-                .map_err(ServerError::io(folder))
+            bytes_below(folder).map(|bytes| sum + bytes).map_err(ServerError::io(folder))
         })
     });
     Ok(held.await.map_err(|_| Problem::internal())??)

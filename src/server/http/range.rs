@@ -45,14 +45,7 @@ pub fn wanted(headers: &HeaderMap, size: u64, etag: &str) -> Wanted {
         },
         (true, true) => return Wanted::All,
     };
-    if start >= end {
-        Wanted::Impossible
-    } else {
-        Wanted::Part {
-            start,
-            length: end - start,
-        }
-    }
+    if start >= end { Wanted::Impossible } else { Wanted::Part { start, length: end - start } }
 }
 
 #[cfg(test)]
@@ -67,50 +60,14 @@ mod tests {
 
     #[test]
     fn ranges_are_clipped_and_unsupported_ones_ignored() {
-        assert_eq!(
-            of("bytes=0-9"),
-            Wanted::Part {
-                start: 0,
-                length: 10
-            }
-        );
-        assert_eq!(
-            of("bytes=90-"),
-            Wanted::Part {
-                start: 90,
-                length: 10
-            }
-        );
-        assert_eq!(
-            of("bytes=90-500"),
-            Wanted::Part {
-                start: 90,
-                length: 10
-            }
-        );
-        assert_eq!(
-            of("bytes=-30"),
-            Wanted::Part {
-                start: 70,
-                length: 30
-            }
-        );
-        assert_eq!(
-            of("bytes=-500"),
-            Wanted::Part {
-                start: 0,
-                length: 100
-            }
-        );
+        assert_eq!(of("bytes=0-9"), Wanted::Part { start: 0, length: 10 });
+        assert_eq!(of("bytes=90-"), Wanted::Part { start: 90, length: 10 });
+        assert_eq!(of("bytes=90-500"), Wanted::Part { start: 90, length: 10 });
+        assert_eq!(of("bytes=-30"), Wanted::Part { start: 70, length: 30 });
+        assert_eq!(of("bytes=-500"), Wanted::Part { start: 0, length: 100 });
         assert_eq!(of("bytes=100-"), Wanted::Impossible);
         assert_eq!(of("bytes=-0"), Wanted::Impossible);
-        for odd in [
-            "bytes=5-2",
-            "bytes=0-1,5-6",
-            "lines=1-2",
-            "bytes=-",
-            "bytes=a-b",
-        ] {
+        for odd in ["bytes=5-2", "bytes=0-1,5-6", "lines=1-2", "bytes=-", "bytes=a-b"] {
             assert_eq!(of(odd), Wanted::All, "{odd}");
         }
     }
@@ -121,12 +78,6 @@ mod tests {
         headers.insert(header::RANGE, "bytes=0-9".parse().expect("header"));
         headers.insert(header::IF_RANGE, "\"old\"".parse().expect("header"));
         assert_eq!(wanted(&headers, 100, "\"new\""), Wanted::All);
-        assert_eq!(
-            wanted(&headers, 100, "\"old\""),
-            Wanted::Part {
-                start: 0,
-                length: 10
-            }
-        );
+        assert_eq!(wanted(&headers, 100, "\"old\""), Wanted::Part { start: 0, length: 10 });
     }
 }

@@ -148,14 +148,8 @@ pub async fn post(
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, body.round).await?;
     let k = body.intrinsics;
-    let intrinsics = Intrinsics {
-        width: k.width,
-        height: k.height,
-        fx: k.fx,
-        fy: k.fy,
-        cx: k.cx,
-        cy: k.cy,
-    };
+    let intrinsics =
+        Intrinsics { width: k.width, height: k.height, fx: k.fx, fy: k.fy, cx: k.cx, cy: k.cy };
     let camera = NamedCamera {
         name: String::new(),
         intrinsics,
@@ -186,17 +180,12 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
         return Ok(None);
     }
     let finished = app.store.rounds(id).await?;
-    let rounds = finished
-        .iter()
-        .rev()
-        .filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
-    rounds
-        .map(Some)
-        .find(|&round| output.scene_of(round).is_file())
-        .ok_or_else(|| {
-            Problem::conflict("no_scene_yet", "No round of this job has finished yet.")
-                .hint("Try again after the first `round_finished` event.")
-        })
+    let rounds =
+        finished.iter().rev().filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
+    rounds.map(Some).find(|&round| output.scene_of(round).is_file()).ok_or_else(|| {
+        Problem::conflict("no_scene_yet", "No round of this job has finished yet.")
+            .hint("Try again after the first `round_finished` event.")
+    })
 }
 
 /// The camera that the query asks for.
@@ -208,13 +197,8 @@ async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, 
     let cameras = cameras_of(output).await.map_err(|problem| {
         problem.hint("Send your own camera with POST, or run the capture in a new job.")
     })?;
-    let size = PictureSize {
-        width: query.width,
-        height: query.height,
-    };
-    let camera = viewpoint
-        .camera(&cameras, size)
-        .map_err(|error| no_viewpoint(&error))?;
+    let size = PictureSize { width: query.width, height: query.height };
+    let camera = viewpoint.camera(&cameras, size).map_err(|error| no_viewpoint(&error))?;
     Ok(NamedCamera::new("", &camera, Split::Train))
 }
 
@@ -293,11 +277,10 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     if finite && sees(k.fx, k.width) && sees(k.fy, k.height) && is_rigid {
         return Ok(());
     }
-    Err(Problem::unprocessable(
-        "bad_camera",
-        "This is not a pinhole camera with a rigid pose.",
-    )
-    .hint("`world_to_camera` is 4x4 and row-major: a rotation, a translation, and 0 0 0 1 below."))
+    Err(Problem::unprocessable("bad_camera", "This is not a pinhole camera with a rigid pose.")
+        .hint(
+            "`world_to_camera` is 4x4 and row-major: a rotation, a translation, and 0 0 0 1 below.",
+        ))
 }
 
 /// A picture that is asked for.
@@ -322,10 +305,8 @@ async fn picture(
     let key = key(&scene, &wanted).map_err(ServerError::io(&scene))?;
     let format = wanted.format;
     let etag = format!("\"{key}\"");
-    let common = [
-        (header::ETAG, etag.clone()),
-        (header::CONTENT_TYPE, format.media_type().to_owned()),
-    ];
+    let common =
+        [(header::ETAG, etag.clone()), (header::CONTENT_TYPE, format.media_type().to_owned())];
     if is_known(headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, common).into_response());
     }
@@ -334,9 +315,7 @@ async fn picture(
     if let Ok(bytes) = tokio::fs::read(&cached).await {
         return Ok((common, Body::from(bytes)).into_response());
     }
-    tokio::fs::create_dir_all(&cache)
-        .await
-        .map_err(ServerError::io(&cache))?;
+    tokio::fs::create_dir_all(&cache).await.map_err(ServerError::io(&cache))?;
     let out = cache.join(format!("{}.tmp", Uuid::now_v7()));
     let request = RenderRequest {
         scene,
@@ -351,9 +330,7 @@ async fn picture(
         return Err(failed(&error));
     }
     let bytes = tokio::fs::read(&out).await.map_err(ServerError::io(&out))?;
-    tokio::fs::rename(&out, &cached)
-        .await
-        .map_err(ServerError::io(&cached))?;
+    tokio::fs::rename(&out, &cached).await.map_err(ServerError::io(&cached))?;
     let kept = app.limits.kept_renders;
     drop(tokio::task::spawn_blocking(move || trim(&cache, kept)));
     Ok((common, Body::from(bytes)).into_response())
@@ -365,13 +342,9 @@ fn failed(error: &RenderError) -> Problem {
         RenderError::Busy => "busy",
         RenderError::Refused(_) | RenderError::Process(_) => "render_failed",
     };
-    Problem::new(
-        StatusCode::SERVICE_UNAVAILABLE,
-        code,
-        without_paths(&error.to_string()),
-    )
-    .hint("Try again. /readyz shows whether the graphics adapter works.")
-    .retry_after(RENDER_RETRY)
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, without_paths(&error.to_string()))
+        .hint("Try again. /readyz shows whether the graphics adapter works.")
+        .retry_after(RENDER_RETRY)
 }
 
 /// What a picture depends on: the scene's very file, the camera, the size, the format and what is
@@ -383,11 +356,8 @@ fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
     let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);
     hasher.update(
-        format!(
-            "{:?}{:?}{format:?}{shown:?}{ev:?}",
-            camera.intrinsics, camera.world_to_camera
-        )
-        .as_bytes(),
+        format!("{:?}{:?}{format:?}{shown:?}{ev:?}", camera.intrinsics, camera.world_to_camera)
+            .as_bytes(),
     );
     Ok(hasher.finalize().to_hex()[..32].to_owned())
 }

@@ -37,11 +37,7 @@ pub(super) fn over_quota_jobs(visitor: &Visitor) -> Problem {
 }
 
 pub(super) fn queue_full() -> Problem {
-    Problem::new(
-        StatusCode::SERVICE_UNAVAILABLE,
-        "queue_full",
-        "Too many jobs are waiting.",
-    )
-    .hint("Try again when some have ended, or cancel some.")
-    .retry_after(QUEUE_RETRY)
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "queue_full", "Too many jobs are waiting.")
+        .hint("Try again when some have ended, or cancel some.")
+        .retry_after(QUEUE_RETRY)
 }

@@ -73,20 +73,13 @@ pub async fn show(
     }
     let mut facts = facts(&app, &id).await;
     facts.insert("stages".to_owned(), stages(&told.stages));
-    Ok(axum::Json(Rounds {
-        rounds,
-        best_round: told.row.best_round,
-        facts,
-    })
-    .into_response())
+    Ok(axum::Json(Rounds { rounds, best_round: told.row.best_round, facts }).into_response())
 }
 
 /// The fields of `metrics.json` other than the rounds. The file is written after every round and
 /// does not exist before the first.
 async fn facts(app: &App, id: &str) -> Map<String, Value> {
-    let text = tokio::fs::read(app.data.output(id).metrics())
-        .await
-        .unwrap_or_default();
+    let text = tokio::fs::read(app.data.output(id).metrics()).await.unwrap_or_default();
     let Ok(Value::Object(mut report)) = serde_json::from_slice(&text) else {
         return Map::new();
     };
@@ -100,10 +93,7 @@ async fn facts(app: &App, id: &str) -> Map<String, Value> {
 fn stages(stages: &[StageSeconds]) -> Value {
     let mut sums = Map::new();
     for stage in stages {
-        let before = sums
-            .get(&stage.stage)
-            .and_then(Value::as_f64)
-            .unwrap_or(0.0);
+        let before = sums.get(&stage.stage).and_then(Value::as_f64).unwrap_or(0.0);
         sums.insert(stage.stage.clone(), json!(before + stage.seconds));
     }
     Value::Object(sums)
@@ -176,14 +166,8 @@ mod tests {
         let text = csv(&rounds);
         let lines: Vec<&str> = text.lines().collect();
         assert_eq!(lines[1], "1,train,render,gt,final,17,21.5,22.0,0.7,,,,");
-        assert_eq!(
-            lines[2],
-            "1,held_out,render,gt,final,3,20.5,21.0,0.6,0.3,,,"
-        );
-        assert_eq!(
-            lines[3],
-            "1,train,render,gt,final,,19.5,20.0,0.5,,a,true,1.5"
-        );
+        assert_eq!(lines[2], "1,held_out,render,gt,final,3,20.5,21.0,0.6,0.3,,,");
+        assert_eq!(lines[3], "1,train,render,gt,final,,19.5,20.0,0.5,,a,true,1.5");
         assert_eq!(lines[4], "1,,render,,final,,,,,,b,false,");
         assert_eq!(lines.len(), 5);
     }

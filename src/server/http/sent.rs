@@ -33,10 +33,7 @@ impl Sent {
             (header::ACCEPT_RANGES, "bytes".to_owned()),
             (header::CONTENT_TYPE, self.media_type.to_owned()),
             // A file of a job must not act as a page of this site.
-            (
-                header::CONTENT_SECURITY_POLICY,
-                "default-src 'none'; sandbox".to_owned(),
-            ),
+            (header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox".to_owned()),
         ];
         if is_known(headers, &self.etag) {
             return Ok((StatusCode::NOT_MODIFIED, common).into_response());
@@ -50,10 +47,7 @@ impl Sent {
                     "bad_range",
                     "The range begins beyond the end.",
                 );
-                return Ok((
-                    [(header::CONTENT_RANGE, format!("bytes */{}", self.bytes))],
-                    problem,
-                )
+                return Ok(([(header::CONTENT_RANGE, format!("bytes */{}", self.bytes))], problem)
                     .into_response());
             }
         };
@@ -67,28 +61,19 @@ impl Sent {
         length: u64,
         headers: impl IntoResponseParts,
     ) -> Result<Response, Problem> {
-        let mut source = tokio::fs::File::open(&self.path)
-            .await
-            .map_err(ServerError::io(&self.path))?;
-        source
-            .seek(SeekFrom::Start(start))
-            .await
-            .map_err(ServerError::io(&self.path))?;
+        let mut source =
+            tokio::fs::File::open(&self.path).await.map_err(ServerError::io(&self.path))?;
+        source.seek(SeekFrom::Start(start)).await.map_err(ServerError::io(&self.path))?;
         let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
         let whole = length == self.bytes;
-        let status = if whole {
-            StatusCode::OK
-        } else {
-            StatusCode::PARTIAL_CONTENT
-        };
+        let status = if whole { StatusCode::OK } else { StatusCode::PARTIAL_CONTENT };
         let length_header = [(header::CONTENT_LENGTH, length.to_string())];
         let mut response = (status, headers, length_header, body).into_response();
         if !whole {
             let range = format!("bytes {start}-{}/{}", start + length - 1, self.bytes);
-            response.headers_mut().insert(
-                header::CONTENT_RANGE,
-                range.parse().map_err(|_| Problem::internal())?,
-            );
+            response
+                .headers_mut()
+                .insert(header::CONTENT_RANGE, range.parse().map_err(|_| Problem::internal())?);
         }
         Ok(response)
     }
@@ -96,12 +81,8 @@ impl Sent {
 
 /// Returns whether the client already has this content.
 pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
-    headers
-        .get(header::IF_NONE_MATCH)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|tags| {
-            tags.split(',').any(
-                |tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"),
-            )
-        })
+    headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|tags| {
+        tags.split(',')
+            .any(|tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"))
+    })
 }

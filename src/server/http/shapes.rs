@@ -56,10 +56,7 @@ impl Capture {
 pub fn report(row: &CaptureRow) -> CaptureReport {
     CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
         tracing::error!(%error, capture = row.id, "the capture's assessments are damaged");
-        CaptureReport {
-            accepted: row.accepted,
-            ..CaptureReport::default()
-        }
+        CaptureReport { accepted: row.accepted, ..CaptureReport::default() }
     })
 }
 
@@ -189,21 +186,11 @@ pub struct Jobs {
 
 impl Job {
     pub fn from_told(told: ToldJob) -> Self {
-        let ToldJob {
-            row,
-            warnings,
-            stages,
-            queue_position,
-            stage_started_at,
-            score,
-        } = told;
+        let ToldJob { row, warnings, stages, queue_position, stage_started_at, score } = told;
         Self {
             warnings: warnings
                 .into_iter()
-                .map(|warning| Warning {
-                    code: warning.code,
-                    message: warning.message,
-                })
+                .map(|warning| Warning { code: warning.code, message: warning.message })
                 .collect(),
             stages: stages
                 .into_iter()
@@ -263,7 +250,5 @@ fn waits_for(row: &JobRow) -> Option<String> {
 
 /// RFC 3339 in UTC.
 pub(super) fn time(milliseconds: i64) -> String {
-    jiff::Timestamp::from_millisecond(milliseconds)
-        .unwrap_or_default()
-        .to_string()
+    jiff::Timestamp::from_millisecond(milliseconds).unwrap_or_default().to_string()
 }

@@ -134,11 +134,7 @@ pub async fn create(
         },
     };
     let location = format!("/v1/jobs/{}/shares/{}", job.id, made.share.id);
-    Ok((
-        StatusCode::CREATED,
-        [(header::LOCATION, location)],
-        axum::Json(made),
-    ))
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], axum::Json(made)))
 }
 
 /// Lists the valid links of a job.
@@ -189,11 +185,8 @@ fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
     for scope in [Scope::JobsRead, Scope::Renders] {
         if !token.scopes.allow(scope) {
             let detail = format!("This token lacks the scope `{}`.", scope.name());
-            return Err(
-                Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail).hint(format!(
-                    "A link has the scopes {SCOPES}, so your token needs both."
-                )),
-            );
+            return Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
+                .hint(format!("A link has the scopes {SCOPES}, so your token needs both.")));
         }
     }
     Ok(token)

@@ -17,11 +17,7 @@ pub(super) async fn check_path(request: Request, next: Next) -> Response {
     let problem = match percent_decode_str(request.uri().path()).decode_utf8() {
         Ok(path) if is_plain(&path) => return next.run(request).await,
         Ok(_) => bad_text("The address"),
-        Err(_) => Problem::new(
-            StatusCode::BAD_REQUEST,
-            "bad_request",
-            "The address is not UTF-8.",
-        ),
+        Err(_) => Problem::new(StatusCode::BAD_REQUEST, "bad_request", "The address is not UTF-8."),
     };
     problem.into_response()
 }
@@ -78,18 +74,12 @@ mod tests {
             let problem = serde_json::to_value(problem).expect("plain data");
             (problem["code"].clone(), problem["pointer"].clone())
         };
-        check_value(
-            &json!({ "name": "Küche", "options": { "a": [1, "b", null] } }),
-            "",
-        )
-        .expect("plain");
+        check_value(&json!({ "name": "Küche", "options": { "a": [1, "b", null] } }), "")
+            .expect("plain");
         for (value, pointer) in [
             (json!("a\0"), ""),
             (json!({ "name": "a\u{202e}gpj" }), "/name"),
-            (
-                json!({ "options": { "a": ["b", "\u{1b}[2J"] } }),
-                "/options/a/1",
-            ),
+            (json!({ "options": { "a": ["b", "\u{1b}[2J"] } }), "/options/a/1"),
             (json!({ "a~/\n": 1 }), "/a~0~1\n"),
         ] {
             assert_eq!(told(&value), (json!("bad_text"), json!(pointer)));

@@ -42,14 +42,11 @@ pub struct Bytes(Vec<u8>);
 /// Puts the version of the protocol on every answer about uploads, refusals included.
 pub(super) async fn mark(request: Request, next: Next) -> Response {
     let path = request.uri().path();
-    let is_ours = path
-        .strip_prefix(UPLOADS)
-        .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
+    let is_ours =
+        path.strip_prefix(UPLOADS).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
     let mut answer = next.run(request).await;
     if is_ours {
-        answer
-            .headers_mut()
-            .insert(RESUMABLE, HeaderValue::from_static(VERSION));
+        answer.headers_mut().insert(RESUMABLE, HeaderValue::from_static(VERSION));
     }
     answer
 }
@@ -201,19 +198,13 @@ pub async fn patch(
     if !is_piece(&parts.headers) {
         return Err(fields::other_type());
     }
-    let piece = Piece {
-        offset: number(&parts.headers, &OFFSET)?,
-        body,
-    };
+    let piece = Piece { offset: number(&parts.headers, &OFFSET)?, body };
     let stands = to_its_end(async move {
         let (lock, row) = taken(&app, &id).await?;
         piece::add(&app, &lock, &row, piece).await
     })
     .await?;
-    let told = [
-        (OFFSET, stands.offset.to_string()),
-        (EXPIRES, expires(stands.expires_at)),
-    ];
+    let told = [(OFFSET, stands.offset.to_string()), (EXPIRES, expires(stands.expires_at))];
     Ok((StatusCode::NO_CONTENT, told).into_response())
 }
 
@@ -277,13 +268,9 @@ fn overriding(headers: &HeaderMap) -> Option<Method> {
 pub(super) async fn lock(app: &App, id: &str) -> Result<UploadLock, Problem> {
     let lock = app.upload_locks.take(id, app.limits.takeover).await;
     lock.ok_or_else(|| {
-        Problem::new(
-            StatusCode::LOCKED,
-            "locked",
-            "Another request still uses this upload.",
-        )
-        .hint("Try again in some seconds.")
-        .retry_after(1)
+        Problem::new(StatusCode::LOCKED, "locked", "Another request still uses this upload.")
+            .hint("Try again in some seconds.")
+            .retry_after(1)
     })
 }
 

@@ -120,9 +120,7 @@ pub async fn receive(
             Some(name) => {
                 check_file(&part, &name, upload.files)?;
                 receiver.hasher.update(name.as_bytes());
-                receiver
-                    .file(upload.dir.path(), &part, &name, field)
-                    .await?;
+                receiver.file(upload.dir.path(), &part, &name, field).await?;
                 upload.files += 1;
             }
             None => {
@@ -137,9 +135,7 @@ pub async fn receive(
     }
     if let Some(names) = receiver.places.names() {
         let path = upload.dir.path().join(NAMES);
-        fs::write(&path, names)
-            .await
-            .map_err(ServerError::io(&path))?;
+        fs::write(&path, names).await.map_err(ServerError::io(&path))?;
     }
     upload.fingerprint = receiver.hasher.finalize().to_hex().to_string();
     Ok(upload)
@@ -208,9 +204,7 @@ fn nameless(part: &str) -> Problem {
 
 /// A name without the escapes that browsers and curl write into this header.
 fn as_written(name: &str) -> String {
-    name.replace("%22", "\"")
-        .replace("%0D", "\r")
-        .replace("%0A", "\n")
+    name.replace("%22", "\"").replace("%0D", "\r").replace("%0A", "\n")
 }
 
 fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {
@@ -241,12 +235,9 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
         return nameless(part);
     }
     let shown: String = part.chars().take(LONGEST_NAME).collect();
-    Problem::unprocessable(
-        "bad_input",
-        format!("The part `{shown}` is unknown or sent twice."),
-    )
-    .pointer(below(&shown, ""))
-    .hint(format!("Known parts: {}.", known.join(", ")))
+    Problem::unprocessable("bad_input", format!("The part `{shown}` is unknown or sent twice."))
+        .pointer(below(&shown, ""))
+        .hint(format!("Known parts: {}.", known.join(", ")))
 }
 
 /// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
@@ -256,9 +247,7 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
 pub async fn to_its_end<T: Send + 'static>(
     work: impl Future<Output = Result<T, Problem>> + Send + 'static,
 ) -> Result<T, Problem> {
-    tokio::spawn(work)
-        .await
-        .unwrap_or_else(|_| Err(Problem::internal()))
+    tokio::spawn(work).await.unwrap_or_else(|_| Err(Problem::internal()))
 }
 
 fn broken(error: &MultipartError) -> Problem {
@@ -306,16 +295,12 @@ impl Receiver<'_> {
     ) -> Result<(), Problem> {
         let path = dir.join(self.places.place(part, name)?);
         let parent = path.parent().unwrap_or(dir);
-        fs::create_dir_all(parent)
-            .await
-            .map_err(ServerError::io(parent))?;
+        fs::create_dir_all(parent).await.map_err(ServerError::io(parent))?;
         let mut file = File::create(&path).await.map_err(ServerError::io(&path))?;
         while let Some(chunk) = field.chunk().await.map_err(|error| broken(&error))? {
             self.count(chunk.len())?;
             self.hasher.update(&chunk);
-            file.write_all(&chunk)
-                .await
-                .map_err(ServerError::io(&path))?;
+            file.write_all(&chunk).await.map_err(ServerError::io(&path))?;
         }
         file.flush().await.map_err(ServerError::io(&path))?;
         Ok(())
@@ -335,19 +320,11 @@ mod tests {
     fn names_that_clients_encode_are_read() {
         let named = |rest: &str| extended_name(&format!("form-data; name=\"images\"{rest}"));
         // As aiohttp and .NET write it.
-        for first in [
-            "",
-            "; filename=\"cam0%2FK%C3%BC.jpg\"",
-            "; filename=\"=?utf-8?B?S8O8?=\"",
-        ] {
+        for first in ["", "; filename=\"cam0%2FK%C3%BC.jpg\"", "; filename=\"=?utf-8?B?S8O8?=\""] {
             let name = named(&format!("{first}; filename*=utf-8''cam0%2FK%C3%BC%201.jpg"));
             assert_eq!(name.as_deref(), Some("cam0/K\u{fc} 1.jpg"));
         }
-        for other in [
-            "; filename=\"a.jpg\"",
-            "; filename*=latin1''%FC",
-            "; filename*=%C3",
-        ] {
+        for other in ["; filename=\"a.jpg\"", "; filename*=latin1''%FC", "; filename*=%C3"] {
             assert_eq!(named(other), None, "{other}");
         }
     }

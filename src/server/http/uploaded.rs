@@ -88,9 +88,7 @@ impl JobOfUploads {
             self.name.as_deref().unwrap_or_default(),
             &frames,
         ];
-        blake3::hash(parts.join("\n\n").as_bytes())
-            .to_hex()
-            .to_string()
+        blake3::hash(parts.join("\n\n").as_bytes()).to_hex().to_string()
     }
 }
 
@@ -106,10 +104,7 @@ pub(super) async fn create_job(
 ) -> Result<Creation, Problem> {
     let priority = Priority::asked(body.priority.as_ref(), &visitor)?;
     let fingerprint = body.fingerprint(priority);
-    let request = Request {
-        key,
-        fingerprint: &fingerprint,
-    };
+    let request = Request { key, fingerprint: &fingerprint };
     // A request that is repeated has its job, and its uploads are used up.
     if let Some(seen) = app.store.answered(&request).await? {
         return Ok(seen);
@@ -139,10 +134,7 @@ async fn make(
     let (app, key) = (app.clone(), request.key.map(str::to_owned));
     let fingerprint = request.fingerprint.to_owned();
     to_its_end(async move {
-        let request = Request {
-            key: key.as_deref(),
-            fingerprint: &fingerprint,
-        };
+        let request = Request { key: key.as_deref(), fingerprint: &fingerprint };
         let placed = upload.place(&app, &report, &visitor).await?;
         let creation = store(&app, &placed, &order, &request, &visitor).await;
         // The uploads are still there where no job was made of them.
@@ -164,11 +156,7 @@ async fn store(
     visitor: &Visitor,
 ) -> Result<Creation, Problem> {
     let job = order.job(app, &placed.row.id, &placed.row.name)?;
-    let used = UsedUp {
-        capture: &placed.row,
-        files: &placed.kept,
-        uploads: &placed.uploads,
-    };
+    let used = UsedUp { capture: &placed.row, files: &placed.kept, uploads: &placed.uploads };
     let room = visitor.room(app.limits.queue);
     let creation = app.store.create_job_of(used, &job, request, room).await?;
     creation.ok_or_else(|| Problem::not_found("upload").pointer("/uploads"))

@@ -96,10 +96,8 @@ pub struct CreateVideo {
 
 impl CreateVideo {
     fn plan(self) -> Plan {
-        let key = |pose: VideoPose| Key {
-            world_to_camera: pose.world_to_camera,
-            seconds: pose.seconds,
-        };
+        let key =
+            |pose: VideoPose| Key { world_to_camera: pose.world_to_camera, seconds: pose.seconds };
         Plan {
             kind: self.kind,
             seconds: self.seconds,
@@ -216,19 +214,13 @@ impl Video {
             error: job
                 .error
                 .filter(|_| state == VideoState::Failed)
-                .map(|error| VideoFault {
-                    detail: error.detail,
-                    hint: error.hint,
-                }),
+                .map(|error| VideoFault { detail: error.detail, hint: error.hint }),
         })
     }
 }
 
 fn damaged(error: &serde_json::Error) -> ServerError {
-    ServerError::Damaged {
-        what: "video",
-        detail: error.to_string(),
-    }
+    ServerError::Damaged { what: "video", detail: error.to_string() }
 }
 
 /// Makes a video of a finished result.
@@ -263,10 +255,7 @@ pub async fn create(
     check_ffmpeg(&app)?;
     let id = Uuid::now_v7().to_string();
     let plan = serde_json::to_value(plan).map_err(|error| damaged(&error))?;
-    let room = VideoRoom {
-        of_job: app.limits.videos_of_job,
-        unfinished: app.limits.videos,
-    };
+    let room = VideoRoom { of_job: app.limits.videos_of_job, unfinished: app.limits.videos };
     match app.store.create_video(&id, &job, &plan, room).await? {
         VideoCreation::Created => {}
         VideoCreation::JobFull(count) => return Err(too_many(count)),

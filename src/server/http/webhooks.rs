@@ -148,10 +148,7 @@ pub async fn create(
             .hint("Delete webhooks that are no longer needed."));
     }
     let location = format!("/v1/webhooks/{}", row.id);
-    let made = MadeWebhook {
-        secret: secret_text(&row.secret),
-        webhook: told(row),
-    };
+    let made = MadeWebhook { secret: secret_text(&row.secret), webhook: told(row) };
     let answer = [(header::LOCATION, location)];
     Ok((StatusCode::CREATED, answer, axum::Json(made)))
 }
@@ -225,10 +222,7 @@ pub async fn test(
     check_not_gone(&row)?;
     let id = app.store.test_webhook(&row.id).await?;
     let id = id.ok_or_else(|| {
-        Problem::conflict(
-            "on_its_way",
-            "A test of this webhook is already on its way.",
-        )
+        Problem::conflict("on_its_way", "A test of this webhook is already on its way.")
     })?;
     Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id })))
 }

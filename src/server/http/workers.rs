@@ -54,14 +54,8 @@ pub struct Workers {
 pub async fn list(State(app): State<Arc<App>>) -> Result<axum::Json<Workers>, Problem> {
     let now = app.store.now().await?;
     let workers = app.store.workers().await?;
-    let workers = workers
-        .into_iter()
-        .map(|row| worker(row, now - app.limits.lease_ms()))
-        .collect();
-    Ok(axum::Json(Workers {
-        now: time(now),
-        workers,
-    }))
+    let workers = workers.into_iter().map(|row| worker(row, now - app.limits.lease_ms())).collect();
+    Ok(axum::Json(Workers { now: time(now), workers }))
 }
 
 fn worker(row: WorkerRow, lost_before: i64) -> Worker {
@@ -78,10 +72,7 @@ fn worker(row: WorkerRow, lost_before: i64) -> Worker {
         running: row
             .running
             .into_iter()
-            .map(|(job_id, steps_per_second)| Running {
-                job_id,
-                steps_per_second,
-            })
+            .map(|(job_id, steps_per_second)| Running { job_id, steps_per_second })
             .collect(),
     }
 }

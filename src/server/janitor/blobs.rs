@@ -123,10 +123,7 @@ mod tests {
             let place = Place::new();
             let mut stay = Vec::new();
             stay.push(place.put("named".to_owned(), 25 * HOUR).await);
-            let kept = [Kept {
-                path: "a.jpg".to_owned(),
-                blob: stay[0].clone(),
-            }];
+            let kept = [Kept { path: "a.jpg".to_owned(), blob: stay[0].clone() }];
             keep_capture(&store, "c", None, &kept).await;
             let mut go = Vec::new();
             for number in 0..40 {
@@ -152,15 +149,10 @@ mod tests {
         let place = Place::new();
         let blob = place.put("old".to_owned(), 25 * HOUR).await;
         for _ in 0..2 {
-            claim(&file, &place.blobs)
-                .await
-                .expect("nobody's, or its own");
+            claim(&file, &place.blobs).await.expect("nobody's, or its own");
         }
         let refused = collect(&server, &place.blobs).await;
-        assert!(
-            matches!(refused, Err(ServerError::StoreOfAnother(_))),
-            "{refused:?}"
-        );
+        assert!(matches!(refused, Err(ServerError::StoreOfAnother(_))), "{refused:?}");
         assert!(place.file(&blob).exists());
         assert_eq!(collect(&file, &place.blobs).await.expect("its own"), 1);
     }
@@ -183,10 +175,7 @@ mod tests {
         place.put("old".to_owned(), 25 * HOUR).await;
         let began = std::time::Instant::now();
         while collected().await == 0 {
-            assert!(
-                began.elapsed() < Duration::from_secs(10),
-                "nobody may collect"
-            );
+            assert!(began.elapsed() < Duration::from_secs(10), "nobody may collect");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }

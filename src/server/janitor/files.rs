@@ -18,8 +18,7 @@ impl Janitor<'_> {
         let (data, mut found) = (self.data, Vec::new());
         let mut add = |dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool| {
             let old = find(dir, age.max(self.made), goes);
-            old.map(|old| found.extend(old))
-                .map_err(ServerError::io(dir))
+            old.map(|old| found.extend(old)).map_err(ServerError::io(dir))
         };
         // Entries that get a row after this are younger than `made`, or none gets one meanwhile.
         let ids = async |kind| self.store.ids(kind).await;
@@ -52,15 +51,11 @@ impl Janitor<'_> {
                 // Only this directory's server knows which uploads are in progress.
                 if data.is_ours() {
                     let uses = |path: &Path| self.app.is_some_and(|app| app.uploads.uses(path));
-                    add(&data.incoming(), Duration::ZERO, &|entry| {
-                        !uses(&entry.path())
-                    })?;
+                    add(&data.incoming(), Duration::ZERO, &|entry| !uses(&entry.path()))?;
                 }
                 let is_half = |path: PathBuf| path.extension().is_some_and(|end| end == "tmp");
                 for id in ids("jobs").await? {
-                    add(&data.renders(&id), Duration::ZERO, &|entry| {
-                        is_half(entry.path())
-                    })?;
+                    add(&data.renders(&id), Duration::ZERO, &|entry| is_half(entry.path()))?;
                 }
             }
             Name::Caches => {
@@ -99,11 +94,7 @@ impl Janitor<'_> {
             }
             Ok(bytes) => {
                 let below = path.strip_prefix(self.data.root()).unwrap_or(&path);
-                (self.report)(&Gone {
-                    path: below.to_owned(),
-                    bytes,
-                    why: rule.what,
-                });
+                (self.report)(&Gone { path: below.to_owned(), bytes, why: rule.what });
                 self.reported.push(path);
                 true
             }
@@ -139,9 +130,7 @@ fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Resu
 fn changed_within(metadata: &Metadata, age: Duration) -> bool {
     let changed = UNIX_EPOCH + Duration::from_secs(u64::try_from(metadata.ctime()).unwrap_or(0));
     // A clock that was set back makes files young, and they stay.
-    let old = SystemTime::now()
-        .duration_since(changed)
-        .unwrap_or_default();
+    let old = SystemTime::now().duration_since(changed).unwrap_or_default();
     old < age
 }
 

@@ -66,11 +66,7 @@ pub async fn gc(
         serves: true,
         dry_run: options.dry_run,
         // Without a server nothing is being created.
-        made: if data.is_ours() {
-            Duration::ZERO
-        } else {
-            PERIOD
-        },
+        made: if data.is_ours() { Duration::ZERO } else { PERIOD },
         orphans: options.unnamed,
         caches: options.caches,
         report,
@@ -91,10 +87,7 @@ pub async fn gc(
         }
     };
     store.close().await;
-    Ok(Collected {
-        beside_server: !data.is_ours(),
-        database: given_back,
-    })
+    Ok(Collected { beside_server: !data.is_ours(), database: given_back })
 }
 
 /// Bytes of the database with its log.

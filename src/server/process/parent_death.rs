@@ -54,12 +54,7 @@ pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
         _ => absolute(program)?,
     };
     let parent = std::process::id().to_string();
-    Ok(vec![
-        own.into(),
-        GUARD.into(),
-        parent.into(),
-        program.into(),
-    ])
+    Ok(vec![own.into(), GUARD.into(), parent.into(), program.into()])
 }
 
 /// Becomes the program that [`guarded`] named, whose `arguments` follow [`GUARD`]. Returns only on

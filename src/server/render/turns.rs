@@ -35,10 +35,7 @@ pub(super) struct Turn(Turns);
 impl Turns {
     /// `most` have or await a turn at a time.
     pub(super) fn new(most: usize) -> Self {
-        Self {
-            most,
-            queue: Arc::default(),
-        }
+        Self { most, queue: Arc::default() }
     }
 
     /// Waits for a turn. Whoever stops waiting leaves the queue.
@@ -99,10 +96,7 @@ impl Queue {
     fn make_room_for(&mut self, client: IpAddr) -> bool {
         let own = self.clients.iter().find(|waiting| waiting.client == client);
         let own = own.map_or(0, |waiting| waiting.asked.len());
-        let most = self
-            .clients
-            .iter_mut()
-            .max_by_key(|waiting| waiting.asked.len());
+        let most = self.clients.iter_mut().max_by_key(|waiting| waiting.asked.len());
         match most {
             Some(most) if most.asked.len() > own + 1 => most.asked.pop_back().is_some(),
             _ => false,
@@ -111,16 +105,10 @@ impl Queue {
 
     fn push(&mut self, client: IpAddr) -> oneshot::Receiver<Turn> {
         let (sender, awaited) = oneshot::channel();
-        let known = self
-            .clients
-            .iter_mut()
-            .find(|waiting| waiting.client == client);
+        let known = self.clients.iter_mut().find(|waiting| waiting.client == client);
         match known {
             Some(waiting) => waiting.asked.push_back(sender),
-            None => self.clients.push_back(Waiting {
-                client,
-                asked: VecDeque::from([sender]),
-            }),
+            None => self.clients.push_back(Waiting { client, asked: VecDeque::from([sender]) }),
         }
         awaited
     }
@@ -191,22 +179,13 @@ mod tests {
         let turn = poll(pin!(turns.take(client(1))));
         let mut many: Vec<_> = (0..3).map(|_| Box::pin(turns.take(client(1)))).collect();
         assert!(many.iter_mut().all(waits));
-        assert!(matches!(
-            poll(pin!(turns.take(client(1)))),
-            Poll::Ready(None)
-        ));
+        assert!(matches!(poll(pin!(turns.take(client(1)))), Poll::Ready(None)));
         let mut other = Box::pin(turns.take(client(2)));
         assert!(waits(&mut other));
-        assert!(
-            matches!(poll(many[2].as_mut()), Poll::Ready(None)),
-            "the last"
-        );
+        assert!(matches!(poll(many[2].as_mut()), Poll::Ready(None)), "the last");
         assert!(waits(&mut many[1]));
         // Now both have their share.
-        assert!(matches!(
-            poll(pin!(turns.take(client(2)))),
-            Poll::Ready(None)
-        ));
+        assert!(matches!(poll(pin!(turns.take(client(2)))), Poll::Ready(None)));
         drop(turn);
     }
 
@@ -223,9 +202,6 @@ mod tests {
         // The second has a turn that it has not seen yet.
         drop(told);
         assert!(matches!(poll(last.as_mut()), Poll::Ready(Some(_))));
-        assert!(matches!(
-            poll(pin!(turns.take(client(1)))),
-            Poll::Ready(Some(_))
-        ));
+        assert!(matches!(poll(pin!(turns.take(client(1)))), Poll::Ready(Some(_))));
     }
 }

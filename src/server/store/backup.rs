@@ -45,9 +45,7 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn attempted(&self) -> Result<HashMap<String, Attempted>> {
-        let rows = sqlx::query("SELECT id, state, epoch FROM jobs")
-            .fetch_all(&self.pool)
-            .await?;
+        let rows = sqlx::query("SELECT id, state, epoch FROM jobs").fetch_all(&self.pool).await?;
         let attempted = |row: &sqlx::any::AnyRow| {
             let state: String = row.try_get("state")?;
             let job = Attempted {
@@ -65,10 +63,9 @@ impl Store {
     /// When a database operation fails.
     pub async fn forget_capture(&self, id: &str) -> Result<()> {
         let mut tx = self.write().await?;
-        for forget in [
-            "DELETE FROM jobs WHERE capture_id = $1",
-            "DELETE FROM captures WHERE id = $1",
-        ] {
+        for forget in
+            ["DELETE FROM jobs WHERE capture_id = $1", "DELETE FROM captures WHERE id = $1"]
+        {
             sqlx::query(forget).bind(id).execute(&mut *tx).await?;
         }
         tx.commit().await?;
@@ -83,10 +80,7 @@ impl Store {
         let mut tx = self.write().await?;
         for table in ["rounds", "stages", "warnings", "artifacts"] {
             let forget = format!("DELETE FROM {table} WHERE job_id = $1");
-            sqlx::query(sqlx::AssertSqlSafe(forget))
-                .bind(id)
-                .execute(&mut *tx)
-                .await?;
+            sqlx::query(sqlx::AssertSqlSafe(forget)).bind(id).execute(&mut *tx).await?;
         }
         let done = sqlx::query(
             "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,

@@ -43,12 +43,8 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn unused_bytes(&self) -> Result<u64> {
-        let pages: i64 = sqlx::query_scalar("PRAGMA freelist_count")
-            .fetch_one(&self.pool)
-            .await?;
-        let size: i64 = sqlx::query_scalar("PRAGMA page_size")
-            .fetch_one(&self.pool)
-            .await?;
+        let pages: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(&self.pool).await?;
+        let size: i64 = sqlx::query_scalar("PRAGMA page_size").fetch_one(&self.pool).await?;
         Ok(u64::try_from(pages.saturating_mul(size)).unwrap_or(0))
     }
 

@@ -70,15 +70,11 @@ impl Store {
                 copied += some.len();
             }
         }
-        for (table, owner, files) in [
-            ("capture_files", "capture_id", of_captures),
-            ("job_files", "job_id", of_jobs),
-        ] {
+        for (table, owner, files) in
+            [("capture_files", "capture_id", of_captures), ("job_files", "job_id", of_jobs)]
+        {
             for some in files.chunks(ROWS) {
-                let some: Vec<_> = some
-                    .iter()
-                    .map(|(id, file)| name(owner, id, file))
-                    .collect();
+                let some: Vec<_> = some.iter().map(|(id, file)| name(owner, id, file)).collect();
                 insert(&mut to, table, &some).await?;
             }
         }
@@ -90,9 +86,7 @@ impl Store {
 async fn expect_no_rows(tx: &mut Tx) -> Result<()> {
     for table in COPIED {
         let any = format!("SELECT COUNT(*) FROM (SELECT 1 AS one FROM {table} LIMIT 1) AS found");
-        let any: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(any))
-            .fetch_one(&mut **tx)
-            .await?;
+        let any: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(any)).fetch_one(&mut **tx).await?;
         if any > 0 {
             return Err(ServerError::NotMoved(format!(
                 "the database already has rows in its table {table}; use an empty one"

@@ -66,12 +66,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         .bind(stage.name())
         .bind(i64::from(*round))
         .bind(job),
-        Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        } => sqlx::query(if *skipped {
+        Event::StageFinished { stage, round, seconds, skipped } => sqlx::query(if *skipped {
             // It was found on disk; the attempt that made it has recorded its time.
             "INSERT INTO stages (job_id, stage, round, seconds) VALUES ($1, $2, $3, $4)
              ON CONFLICT DO NOTHING"
@@ -114,18 +109,16 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
 pub(super) async fn settle(tx: &mut Tx, job: &str, settlement: &Settlement) -> Result<()> {
     let transition = match settlement {
         Settlement::Finished { .. } | Settlement::Filmed { .. } => Transition::Finished,
-        Settlement::Failed { retry_in_ms, .. } => Transition::Failed {
-            retry: retry_in_ms.is_some(),
-        },
+        Settlement::Failed { retry_in_ms, .. } => {
+            Transition::Failed { retry: retry_in_ms.is_some() }
+        }
         Settlement::Stopped => Transition::Stopped,
         Settlement::Released => Transition::Released,
     };
-    let next = JobState::Running
-        .after(transition)
-        .ok_or_else(|| ServerError::Damaged {
-            what: "job state",
-            detail: format!("{transition:?}"),
-        })?;
+    let next = JobState::Running.after(transition).ok_or_else(|| ServerError::Damaged {
+        what: "job state",
+        detail: format!("{transition:?}"),
+    })?;
     let finished = next.is_terminal().then_some(tx.now);
     sqlx::query(
         "UPDATE jobs SET state = $1, finished_at = $2, lease_owner = NULL, lease_until = 0,
@@ -155,11 +148,7 @@ pub(super) async fn settle(tx: &mut Tx, job: &str, settlement: &Settlement) -> R
                 .execute(&mut **tx)
                 .await?;
         }
-        Settlement::Failed {
-            error,
-            retry_in_ms,
-            failures,
-        } => {
+        Settlement::Failed { error, retry_in_ms, failures } => {
             store_failure(tx, job, error, *retry_in_ms, *failures).await?;
             data["error"] = error_json(error);
             data["retry_in_ms"] = (*retry_in_ms).into();

@@ -149,13 +149,7 @@ pub(super) async fn begin(store: &Store, exclusive: bool) -> Result<Tx> {
             (tx, now)
         }
     };
-    Ok(Tx {
-        inner,
-        engine: store.engine,
-        now,
-        change: None,
-        notifier: store.notifier.clone(),
-    })
+    Ok(Tx { inner, engine: store.engine, now, change: None, notifier: store.notifier.clone() })
 }
 
 /// Milliseconds since 1970 on the clock that all users of the database share.
@@ -182,11 +176,7 @@ pub(super) async fn sqlite(path: &Path, create: bool, connections: u32) -> Resul
         .after_connect(move |connection, _| {
             Box::pin(async move {
                 // A database that is only read keeps its settings.
-                let told = if create {
-                    PRAGMAS
-                } else {
-                    "PRAGMA busy_timeout = 10000"
-                };
+                let told = if create { PRAGMAS } else { "PRAGMA busy_timeout = 10000" };
                 connection.execute(told).await.map(drop)
             })
         })
@@ -213,9 +203,8 @@ pub(super) async fn postgres(url: &str) -> Result<AnyPool> {
 
 fn options(url: &str) -> Result<AnyConnectOptions> {
     sqlx::any::install_default_drivers();
-    AnyConnectOptions::from_str(url).map_err(|error| ServerError::BadDatabase {
-        detail: error.to_string(),
-    })
+    AnyConnectOptions::from_str(url)
+        .map_err(|error| ServerError::BadDatabase { detail: error.to_string() })
 }
 
 /// Brings a schema up to date.
@@ -276,8 +265,6 @@ impl Cells for AnyRow {
 
 /// Converts a non-negative number.
 pub(super) fn counted(number: i64) -> Result<u32> {
-    u32::try_from(number).map_err(|error| ServerError::Damaged {
-        what: "number",
-        detail: error.to_string(),
-    })
+    u32::try_from(number)
+        .map_err(|error| ServerError::Damaged { what: "number", detail: error.to_string() })
 }

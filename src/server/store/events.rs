@@ -40,11 +40,7 @@ impl Store {
                     what: "event",
                     detail: error.to_string(),
                 })?;
-                Ok(EventRow {
-                    seq: row.try_get("seq")?,
-                    kind: row.try_get("kind")?,
-                    data,
-                })
+                Ok(EventRow { seq: row.try_get("seq")?, kind: row.try_get("kind")?, data })
             })
             .collect()
     }

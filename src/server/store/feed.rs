@@ -30,10 +30,8 @@ impl Store {
             return feed;
         }
         feeds.retain(|_, feed| feed.strong_count() > 0);
-        let feed = Arc::new(EventFeed {
-            job: job.to_owned(),
-            recent: tokio::sync::Mutex::default(),
-        });
+        let feed =
+            Arc::new(EventFeed { job: job.to_owned(), recent: tokio::sync::Mutex::default() });
         feeds.insert(job.to_owned(), Arc::downgrade(&feed));
         feed
     }
@@ -82,17 +80,10 @@ impl EventFeed {
             // Far behind: it catches up by itself.
             let rows = store.events_after(&self.job, seq, RECENT as u32).await?;
             let events = rows.into_iter().map(Arc::new).collect();
-            return Ok(Next {
-                events,
-                is_all: false,
-            });
+            return Ok(Next { events, is_all: false });
         }
-        let events: Vec<_> = recent
-            .events
-            .iter()
-            .filter(|event| event.seq > seq)
-            .cloned()
-            .collect();
+        let events: Vec<_> =
+            recent.events.iter().filter(|event| event.seq > seq).cloned().collect();
         let is_all = recent.is_over && recent.version.is_some();
         Ok(Next { events, is_all })
     }
@@ -108,10 +99,7 @@ impl EventFeed {
         recent.is_over = is_over;
         recent.events.extend(rows.into_iter().map(Arc::new));
         while recent.events.len() > RECENT {
-            recent.start = recent
-                .events
-                .pop_front()
-                .map_or(recent.start, |event| event.seq);
+            recent.start = recent.events.pop_front().map_or(recent.start, |event| event.seq);
         }
         Ok(())
     }
@@ -132,11 +120,7 @@ mod tests {
         let (_dir, store) = in_a_file().await;
         keep_capture(&store, "c", None, &[]).await;
         create(&store, "j").await;
-        let claim = store
-            .claim("w", 60_000, &[])
-            .await
-            .expect("claim")
-            .expect("job");
+        let claim = store.claim("w", 60_000, &[]).await.expect("claim").expect("job");
         let event = |round| fled_core::event::Event::StageStarted {
             stage: fled_core::event::Stage::Deblur,
             round,
@@ -145,18 +129,12 @@ mod tests {
         assert!(Arc::ptr_eq(&ahead, &behind), "one reads for both");
         assert_eq!(seqs(&ahead.after(&store, 1, 1).await.expect("read")), [2]);
         for round in 0..500 {
-            store
-                .record(&claim.lease, &event(round))
-                .await
-                .expect("told");
+            store.record(&claim.lease, &event(round)).await.expect("told");
         }
         // What has not changed as far as this process knows is not read again.
         let next = ahead.after(&store, 2, 1).await.expect("read");
         assert_eq!(next, Next::default());
-        store
-            .settle(&claim.lease, &Settlement::Stopped)
-            .await
-            .expect("settled");
+        store.settle(&claim.lease, &Settlement::Stopped).await.expect("settled");
         for (feed, from) in [(ahead, 2), (behind, 0)] {
             let mut had = from;
             loop {

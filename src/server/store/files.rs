@@ -151,10 +151,7 @@ pub(super) async fn change(tx: &mut Tx, job: &str, kept: &[Kept], gone: &[String
 
 /// Indexes a job's files by path.
 pub fn by_path(files: Vec<Kept>) -> HashMap<String, Blob> {
-    files
-        .into_iter()
-        .map(|file| (file.path, file.blob))
-        .collect()
+    files.into_iter().map(|file| (file.path, file.blob)).collect()
 }
 
 fn kept(row: &AnyRow) -> Result<Kept> {

@@ -183,8 +183,5 @@ async fn create(
 }
 
 fn missing(id: &str) -> ServerError {
-    ServerError::Damaged {
-        what: "idempotency key",
-        detail: format!("its job {id} is gone"),
-    }
+    ServerError::Damaged { what: "idempotency key", detail: format!("its job {id} is gone") }
 }

@@ -181,10 +181,7 @@ impl Store {
             (cursor, "id < #"),
             (only.state.map(JobState::name), "state = #"),
             (only.capture, "capture_id = #"),
-            (
-                only.owner,
-                "capture_id IN (SELECT id FROM captures WHERE owner = #)",
-            ),
+            (only.owner, "capture_id IN (SELECT id FROM captures WHERE owner = #)"),
         ];
         let mut page = format!("{TOLD} WHERE video_of IS NULL");
         let mut bound = Vec::new();
@@ -205,10 +202,7 @@ impl Store {
     /// When a database operation fails.
     pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
         let one = format!("{TOLD} WHERE id = $1 AND video_of IS NULL");
-        let row = sqlx::query(sqlx::AssertSqlSafe(one))
-            .bind(id)
-            .fetch_optional(&self.pool)
-            .await?;
+        let row = sqlx::query(sqlx::AssertSqlSafe(one)).bind(id).fetch_optional(&self.pool).await?;
         let rows: Vec<AnyRow> = row.into_iter().collect();
         Ok(self.told(&rows).await?.pop())
     }
@@ -365,21 +359,12 @@ pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     .bind(job.priority)
     .execute(&mut **tx)
     .await?;
-    events::append(
-        tx,
-        &job.id,
-        "state",
-        &json!({ "state": JobState::Queued.name() }),
-    )
-    .await
+    events::append(tx, &job.id, "state", &json!({ "state": JobState::Queued.name() })).await
 }
 
 pub(super) async fn read(tx: &mut Tx, id: &str) -> Result<Option<JobRow>> {
     let row = format!("SELECT * FROM jobs WHERE id = $1{}", tx.engine.locking());
-    let row = sqlx::query(sqlx::AssertSqlSafe(row))
-        .bind(id)
-        .fetch_optional(&mut **tx)
-        .await?;
+    let row = sqlx::query(sqlx::AssertSqlSafe(row)).bind(id).fetch_optional(&mut **tx).await?;
     row.as_ref().map(from_row).transpose()
 }
 
@@ -396,12 +381,8 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
         None => None,
         Some(code) => Some(JobError {
             code,
-            detail: row
-                .try_get::<Option<String>, _>("error_detail")?
-                .unwrap_or_default(),
-            hint: row
-                .try_get::<Option<String>, _>("error_hint")?
-                .unwrap_or_default(),
+            detail: row.try_get::<Option<String>, _>("error_detail")?.unwrap_or_default(),
+            hint: row.try_get::<Option<String>, _>("error_hint")?.unwrap_or_default(),
         }),
     };
     Ok(JobRow {
@@ -413,10 +394,8 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
             what: "job options",
             detail: error.to_string(),
         })?,
-        state: JobState::from_name(&state).ok_or(ServerError::Damaged {
-            what: "job state",
-            detail: state,
-        })?,
+        state: JobState::from_name(&state)
+            .ok_or(ServerError::Damaged { what: "job state", detail: state })?,
         stage: row.try_get("stage")?,
         round: row.count("round")?,
         rounds: row.count("rounds")?,

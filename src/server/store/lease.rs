@@ -60,10 +60,7 @@ pub struct Machine {
 
 impl Machine {
     /// A machine that fits any job, for a deployment with a single machine.
-    pub const ANY: Self = Self {
-        has_gpu: true,
-        memory: u64::MAX,
-    };
+    pub const ANY: Self = Self { has_gpu: true, memory: u64::MAX };
 }
 
 impl Store {
@@ -78,8 +75,7 @@ impl Store {
         lease_ms: i64,
         running: &[String],
     ) -> Result<Option<Claim>> {
-        self.claim_fit(JobKind::Scene, owner, lease_ms, running, Machine::ANY)
-            .await
+        self.claim_fit(JobKind::Scene, owner, lease_ms, running, Machine::ANY).await
     }
 
     /// The same of any kind, on a machine that has just so much: of the highest priority, of the
@@ -115,9 +111,9 @@ impl Store {
         let next = JobState::from_name(&state)
             .and_then(|state| state.after(Transition::Claimed))
             .ok_or_else(|| ServerError::Damaged {
-                what: "job state",
-                detail: format!("job {id} is {state} and cannot be claimed"),
-            })?;
+            what: "job state",
+            detail: format!("job {id} is {state} and cannot be claimed"),
+        })?;
         let row = sqlx::query(
             "UPDATE jobs SET state = $1, epoch = epoch + 1, told = 0, lease_owner = $2, lease_until = $4,
                     attempts = attempts + 1, started_at = COALESCE(started_at, $3), finished_at = NULL,
@@ -133,10 +129,7 @@ impl Store {
         .fetch_one(&mut *tx)
         .await?;
         let job = from_row(&row)?;
-        let lease = Lease {
-            job: job.id.clone(),
-            epoch: row.try_get("epoch")?,
-        };
+        let lease = Lease { job: job.id.clone(), epoch: row.try_get("epoch")? };
         events::append(
             &mut tx,
             &job.id,

@@ -108,11 +108,7 @@ impl Tx {
         if self.engine == Engine::Postgres {
             sqlx::query("SELECT pg_notify($1, $2)")
                 .bind(CHANNEL)
-                .bind(if change == Change::Queue {
-                    WAITING
-                } else {
-                    job
-                })
+                .bind(if change == Change::Queue { WAITING } else { job })
                 .execute(&mut **self)
                 .await?;
         }

@@ -71,8 +71,6 @@ pub(super) fn body(kind: &str, at: i64, data: &Value) -> String {
 /// The event types that a webhook subscribes to.
 pub(super) fn typed(row: &AnyRow) -> Result<Vec<String>> {
     let types: String = row.try_get("types")?;
-    serde_json::from_str(&types).map_err(|error| ServerError::Damaged {
-        what: "webhook",
-        detail: error.to_string(),
-    })
+    serde_json::from_str(&types)
+        .map_err(|error| ServerError::Damaged { what: "webhook", detail: error.to_string() })
 }

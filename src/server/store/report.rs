@@ -71,9 +71,7 @@ impl Store {
     async fn settle_once(&self, lease: &Lease, settlement: &Settlement) -> Result<JobState> {
         let mut tx = self.fenced(lease).await?;
         settle(&mut tx, &lease.job, settlement).await?;
-        let state = read(&mut tx, &lease.job)
-            .await?
-            .map_or(JobState::Queued, |job| job.state);
+        let state = read(&mut tx, &lease.job).await?.map_or(JobState::Queued, |job| job.state);
         tx.commit().await?;
         Ok(state)
     }

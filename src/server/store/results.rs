@@ -46,15 +46,8 @@ impl Score {
             score: Option<f64>,
         }
         let judged: Judged = serde_json::from_str(metrics).ok()?;
-        let has_truth = judged
-            .records
-            .iter()
-            .any(|one| one.reference == Reference::Gt);
-        let reference = if has_truth {
-            Reference::Gt
-        } else {
-            Reference::Enhanced
-        };
+        let has_truth = judged.records.iter().any(|one| one.reference == Reference::Gt);
+        let reference = if has_truth { Reference::Gt } else { Reference::Enhanced };
         let of_split = |split| {
             judged.records.iter().find(|one| {
                 let of_result =
@@ -165,17 +158,11 @@ pub(super) async fn warnings_of(
          ORDER BY at, code, message",
         engine.listed("$1")
     );
-    let rows = sqlx::query(sqlx::AssertSqlSafe(all))
-        .bind(ids)
-        .fetch_all(pool)
-        .await?;
+    let rows = sqlx::query(sqlx::AssertSqlSafe(all)).bind(ids).fetch_all(pool).await?;
     let mut warnings: HashMap<String, Vec<WarningRow>> = HashMap::new();
     for row in rows {
         let of_job = warnings.entry(row.try_get("job_id")?).or_default();
-        of_job.push(WarningRow {
-            code: row.try_get("code")?,
-            message: row.try_get("message")?,
-        });
+        of_job.push(WarningRow { code: row.try_get("code")?, message: row.try_get("message")? });
     }
     Ok(warnings)
 }
@@ -191,10 +178,7 @@ pub(super) async fn scores_of(
          AND jobs.best_round = rounds.round WHERE job_id IN ({})",
         engine.listed("$1")
     );
-    let rows = sqlx::query(sqlx::AssertSqlSafe(delivered))
-        .bind(ids)
-        .fetch_all(pool)
-        .await?;
+    let rows = sqlx::query(sqlx::AssertSqlSafe(delivered)).bind(ids).fetch_all(pool).await?;
     let mut scores = HashMap::new();
     for row in rows {
         let metrics: String = row.try_get("metrics")?;
@@ -215,10 +199,7 @@ pub(super) async fn stages_of(
         "SELECT job_id, stage, round, seconds FROM stages WHERE job_id IN ({})",
         engine.listed("$1")
     );
-    let rows = sqlx::query(sqlx::AssertSqlSafe(all))
-        .bind(ids)
-        .fetch_all(pool)
-        .await?;
+    let rows = sqlx::query(sqlx::AssertSqlSafe(all)).bind(ids).fetch_all(pool).await?;
     let mut stages: HashMap<String, Vec<StageSeconds>> = HashMap::new();
     for row in rows {
         let of_job = stages.entry(row.try_get("job_id")?).or_default();

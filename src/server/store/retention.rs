@@ -26,11 +26,7 @@ impl Retention {
 
 impl Default for Retention {
     fn default() -> Self {
-        Self {
-            age: None,
-            jobs: None,
-            notice: Duration::from_secs(7 * 24 * 3600),
-        }
+        Self { age: None, jobs: None, notice: Duration::from_secs(7 * 24 * 3600) }
     }
 }
 
@@ -168,10 +164,7 @@ mod tests {
 
     /// A job that was cancelled, each of the calls a moment later than the one before.
     async fn ended(store: &Store, id: &str, capture: &str) {
-        let job = NewJob {
-            capture_id: capture.to_owned(),
-            ..new_job(id)
-        };
+        let job = NewJob { capture_id: capture.to_owned(), ..new_job(id) };
         let made = store.create_job(&job, None, "", room(100)).await;
         made.expect("made");
         store.request_cancel(id).await.expect("cancelled");
@@ -192,12 +185,7 @@ mod tests {
     }
 
     async fn expires(store: &Store, id: &str) -> Option<i64> {
-        store
-            .job(id)
-            .await
-            .expect("read")
-            .expect("is there")
-            .expires_at
+        store.job(id).await.expect("read").expect("is there").expires_at
     }
 
     #[tokio::test]
@@ -213,10 +201,7 @@ mod tests {
             assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
             let early = store.delete_expired(now + 7 * DAY - 1, false).await;
             assert_eq!(early.expect("none"), Expired::default());
-            let gone = store
-                .delete_expired(now + 7 * DAY, false)
-                .await
-                .expect("one");
+            let gone = store.delete_expired(now + 7 * DAY, false).await.expect("one");
             assert_eq!(gone.jobs, ["a1"]);
             assert!(gone.captures.is_empty());
         }
@@ -235,10 +220,7 @@ mod tests {
             again.expect("again");
             assert_eq!(expires(&store, "a1").await, None);
             store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
-            let gone = store
-                .delete_expired(old + 9 * DAY, false)
-                .await
-                .expect("two");
+            let gone = store.delete_expired(old + 9 * DAY, false).await.expect("two");
             assert_eq!(gone.jobs, ["a2", "a3"]);
             store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
             assert_eq!(expires(&store, "b1").await, None, "it is pinned");
@@ -256,20 +238,11 @@ mod tests {
         for (_dir, store) in stores().await {
             let old = now_ms() + 40 * DAY;
             store.mark_expiring(&KEPT, old).await.expect("marked");
-            let gone = store
-                .delete_expired(old + 8 * DAY, false)
-                .await
-                .expect("jobs");
+            let gone = store.delete_expired(old + 8 * DAY, false).await.expect("jobs");
             assert_eq!((gone.jobs.len(), gone.captures.len()), (4, 0));
-            store
-                .mark_expiring(&KEPT, old + 8 * DAY)
-                .await
-                .expect("marked");
+            store.mark_expiring(&KEPT, old + 8 * DAY).await.expect("marked");
             ended(&store, "a4", "anna's").await;
-            let gone = store
-                .delete_expired(old + 15 * DAY, false)
-                .await
-                .expect("one");
+            let gone = store.delete_expired(old + 15 * DAY, false).await.expect("one");
             assert_eq!(gone.captures, ["ben's"]);
         }
     }

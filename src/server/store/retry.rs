@@ -103,23 +103,14 @@ mod tests {
 
     async fn goes_on(store: &Store) {
         keep_capture(store, "c", Some("anna"), &[]).await;
-        let job = NewJob {
-            options: json!({ "cap": 1 }),
-            ..new_job("j")
-        };
+        let job = NewJob { options: json!({ "cap": 1 }), ..new_job("j") };
         let room = room(9);
         store.create_job(&job, None, "", room).await.expect("made");
-        let other = Change {
-            options: json!({ "cap": 2 }),
-            rounds: 1,
-        };
+        let other = Change { options: json!({ "cap": 2 }), rounds: 1 };
         let retry = async |other| store.retry("j", room, other).await.expect("asked");
         assert_eq!(retry(Some(&other)).await, Retry::WrongState, "it waits");
         store.request_cancel("j").await.expect("cancelled");
-        let none = Room {
-            of_owner: Some(("anna", 0)),
-            ..room
-        };
+        let none = Room { of_owner: Some(("anna", 0)), ..room };
         let refused = store.retry("j", none, Some(&other)).await;
         assert_eq!(refused.expect("asked"), Retry::OverQuota);
         let row = async || store.job("j").await.expect("read").expect("is there");

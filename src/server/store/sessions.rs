@@ -84,9 +84,7 @@ mod tests {
     #[tokio::test]
     async fn a_session_is_valid_no_longer_than_its_token() {
         let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
+        let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         let secret = || Secret::new().expect("random").digest();
         let (token, session, over) = (secret(), secret(), secret());
         let kept = NewToken {
@@ -99,14 +97,8 @@ mod tests {
         };
         store.insert_token(&kept).await.expect("kept");
         let later = now_ms() + 60_000;
-        store
-            .insert_session(&over, "1", now_ms() - 1)
-            .await
-            .expect("kept");
-        store
-            .insert_session(&session, "1", later)
-            .await
-            .expect("kept");
+        store.insert_session(&over, "1", now_ms() - 1).await.expect("kept");
+        store.insert_session(&session, "1", later).await.expect("kept");
         let held = async |digest| store.token_of_session(digest).await.expect("answer");
         assert_eq!(held(&session).await.expect("holds").id, "1");
         assert!(held(&over).await.is_none(), "it is over");

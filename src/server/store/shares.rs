@@ -55,11 +55,8 @@ impl Store {
         let now = self.now().await?;
         let mut tx = self.write().await?;
         let count = sqlx::AssertSqlSafe(format!("SELECT count(*) {THAT_HOLD}"));
-        let held: i64 = sqlx::query_scalar(count)
-            .bind(&share.job)
-            .bind(now)
-            .fetch_one(&mut *tx)
-            .await?;
+        let held: i64 =
+            sqlx::query_scalar(count).bind(&share.job).bind(now).fetch_one(&mut *tx).await?;
         if held >= i64::from(most) {
             return Ok(false);
         }

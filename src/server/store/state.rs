@@ -46,13 +46,8 @@ pub enum Transition {
 
 impl JobState {
     /// Every state.
-    pub const ALL: [Self; 5] = [
-        Self::Queued,
-        Self::Running,
-        Self::Succeeded,
-        Self::Failed,
-        Self::Cancelled,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
     /// The state after `transition`; `None` if the transition is not allowed in this state.
     pub fn after(self, transition: Transition) -> Option<Self> {

@@ -15,9 +15,7 @@ use crate::store::state::{JobState, Transition};
 /// A database file, and the guard that removes it.
 pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
-    let store = Store::open(&dir.path().join("fled.db"))
-        .await
-        .expect("fresh database");
+    let store = Store::open(&dir.path().join("fled.db")).await.expect("fresh database");
     (dir, store)
 }
 
@@ -58,10 +56,7 @@ pub(crate) async fn keep_capture(store: &Store, id: &str, owner: Option<&str>, f
 }
 
 pub(crate) fn room(queue: u32) -> Room<'static> {
-    Room {
-        queue,
-        of_owner: None,
-    }
+    Room { queue, of_owner: None }
 }
 
 /// A job of the capture `c`.
@@ -79,24 +74,13 @@ pub(crate) fn new_job(id: &str) -> NewJob {
 }
 
 pub(crate) async fn create(store: &Store, id: &str) {
-    let outcome = store
-        .create_job(&new_job(id), None, "", room(100))
-        .await
-        .expect("create");
+    let outcome = store.create_job(&new_job(id), None, "", room(100)).await.expect("create");
     assert!(matches!(outcome, Creation::Created(_)));
 }
 
 fn failed(retry_in_ms: Option<i64>) -> Settlement {
-    let error = JobError {
-        code: "internal".into(),
-        detail: "d".into(),
-        hint: "h".into(),
-    };
-    Settlement::Failed {
-        error,
-        retry_in_ms,
-        failures: 1,
-    }
+    let error = JobError { code: "internal".into(), detail: "d".into(), hint: "h".into() };
+    Settlement::Failed { error, retry_in_ms, failures: 1 }
 }
 
 /// Tests that every database must pass.
@@ -139,10 +123,7 @@ async fn deleting_a_capture_waits_for_the_creation_of_its_job() {
     assert!(store.delete_job("j").await.expect("deleted"));
     // The other way round.
     let mut tx = store.begin().await.expect("begun");
-    sqlx::query("DELETE FROM captures WHERE id = 'c'")
-        .execute(&mut *tx)
-        .await
-        .expect("deleted");
+    sqlx::query("DELETE FROM captures WHERE id = 'c'").execute(&mut *tx).await.expect("deleted");
     let made = tokio::spawn(async move {
         let made = copy.create_job(&new_job("k"), None, "", room(9)).await;
         made.map(drop)
@@ -160,10 +141,7 @@ async fn allow_pages(store: &Store, pages: u32) {
     for _ in 0..CONNECTIONS {
         let mut connection = store.pool.acquire().await.expect("a connection");
         let limit = format!("PRAGMA max_page_count = {pages}");
-        sqlx::query(sqlx::AssertSqlSafe(limit))
-            .execute(&mut *connection)
-            .await
-            .expect("a limit");
+        sqlx::query(sqlx::AssertSqlSafe(limit)).execute(&mut *connection).await.expect("a limit");
         all.push(connection);
     }
 }
@@ -174,10 +152,7 @@ async fn a_full_disk_disables_no_connection() {
     create(&store, "waits").await;
     // SQLite fails at this page as on a full disk: it rolls back by itself.
     allow_pages(&store, 1).await;
-    let large = NewJob {
-        options: json!({ "deblur": "x".repeat(1 << 20) }),
-        ..new_job("large")
-    };
+    let large = NewJob { options: json!({ "deblur": "x".repeat(1 << 20) }), ..new_job("large") };
     let refused = store.create_job(&large, None, "", room(100)).await;
     assert!(refused.is_err(), "1 MiB into no free page");
     // On every connection; a replaced one has no limit, and a job's id is used only once.
@@ -191,10 +166,7 @@ async fn a_full_disk_disables_no_connection() {
     create(&store, "after").await;
     let claim = store.claim("one", 60_000, &[]).await.expect("claim");
     let claim = claim.expect("the job that waits");
-    let step = Progress {
-        progress: Some(0.5),
-        ..Default::default()
-    };
+    let step = Progress { progress: Some(0.5), ..Default::default() };
     store.advance(&claim.lease, &step).await.expect("advance");
     // Read on other connections: it was no savepoint in a transaction that never ends.
     for _ in 0..CONNECTIONS {

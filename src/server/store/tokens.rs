@@ -65,11 +65,7 @@ impl TokenRow {
     /// The owner of its uploads: its name, so that a new token of the same name sees them too. A
     /// share link owns only its own, whatever its name.
     pub fn owner(&self) -> &str {
-        if self.name.is_empty() || self.job.is_some() {
-            &self.id
-        } else {
-            &self.name
-        }
+        if self.name.is_empty() || self.job.is_some() { &self.id } else { &self.name }
     }
 
     /// Returns whether it is valid at `now`, in milliseconds since 1970.
@@ -96,12 +92,7 @@ impl Store {
         .bind(self.now().await?)
         .bind(token.expires_at)
         // More bytes than the database can count are unlimited.
-        .bind(
-            token
-                .quotas
-                .bytes
-                .map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)),
-        )
+        .bind(token.quotas.bytes.map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)))
         .bind(token.quotas.jobs.map(i64::from))
         .execute(&self.pool)
         .await?;
@@ -164,10 +155,7 @@ impl Store {
         if !bool::from(kept.ct_eq(digest)) || !token.holds(now) {
             return Ok(None);
         }
-        if token
-            .last_used_at
-            .is_none_or(|last| now - last >= NOTED_EVERY)
-        {
+        if token.last_used_at.is_none_or(|last| now - last >= NOTED_EVERY) {
             let noted = sqlx::query("UPDATE tokens SET last_used_at = $1 WHERE id = $2")
                 .bind(now)
                 .bind(&token.id)
@@ -193,9 +181,7 @@ fn from_row(row: &AnyRow) -> Result<TokenRow> {
         revoked_at: row.try_get("revoked_at")?,
         last_used_at: row.try_get("last_used_at")?,
         quotas: Quotas {
-            bytes: row
-                .try_get::<Option<i64>, _>("quota_bytes")?
-                .map(i64::unsigned_abs),
+            bytes: row.try_get::<Option<i64>, _>("quota_bytes")?.map(i64::unsigned_abs),
             jobs: row.count_if_any("quota_jobs")?,
         },
         job: row.try_get("job_id")?,
@@ -211,9 +197,7 @@ mod tests {
     #[tokio::test]
     async fn a_token_holds_until_it_is_revoked_or_expires() {
         let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
+        let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         assert!(!store.has_tokens().await.expect("answer"));
         let secrets = [(); 3].map(|()| Secret::new().expect("random"));
         for (index, secret) in secrets.iter().enumerate() {
@@ -237,10 +221,7 @@ mod tests {
         assert_eq!(holds(0).await.expect("holds").id, "0");
         assert!(holds(1).await.is_none(), "it has expired");
         assert!(store.revoke_token("0").await.expect("answer"));
-        assert!(
-            !store.revoke_token("0").await.expect("answer"),
-            "it is ended"
-        );
+        assert!(!store.revoke_token("0").await.expect("answer"), "it is ended");
         assert!(!store.revoke_token("none").await.expect("answer"));
         assert!(holds(0).await.is_none(), "it is revoked");
         let quotas = holds(2).await.expect("holds").quotas;

@@ -155,10 +155,7 @@ impl Store {
 
 /// Deletes these uploads and returns whether all of them existed.
 pub(super) async fn use_up(tx: &mut Tx, ids: &[String]) -> Result<bool> {
-    let these = format!(
-        "DELETE FROM uploads WHERE id IN ({})",
-        tx.engine.listed("$1")
-    );
+    let these = format!("DELETE FROM uploads WHERE id IN ({})", tx.engine.listed("$1"));
     let done = sqlx::query(sqlx::AssertSqlSafe(these))
         .bind(json!(ids).to_string())
         .execute(&mut **tx)
@@ -184,8 +181,6 @@ fn signed(bytes: u64) -> i64 {
 }
 
 fn unsigned(bytes: i64) -> Result<u64> {
-    u64::try_from(bytes).map_err(|error| ServerError::Damaged {
-        what: "upload",
-        detail: error.to_string(),
-    })
+    u64::try_from(bytes)
+        .map_err(|error| ServerError::Damaged { what: "upload", detail: error.to_string() })
 }

@@ -155,10 +155,7 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn delete_webhook(&self, id: &str) -> Result<()> {
-        sqlx::query("DELETE FROM webhooks WHERE id = $1")
-            .bind(id)
-            .execute(&self.pool)
-            .await?;
+        sqlx::query("DELETE FROM webhooks WHERE id = $1").bind(id).execute(&self.pool).await?;
         Ok(())
     }
 

@@ -54,10 +54,8 @@ impl Store {
     /// When a database operation fails.
     pub async fn see_worker(&self, id: &str, about: &About, draining: bool) -> Result<()> {
         let now = self.now().await?;
-        let about = serde_json::to_string(about).map_err(|error| ServerError::Damaged {
-            what: "worker",
-            detail: error.to_string(),
-        })?;
+        let about = serde_json::to_string(about)
+            .map_err(|error| ServerError::Damaged { what: "worker", detail: error.to_string() })?;
         sqlx::query(
             "INSERT INTO workers (id, about, draining, started_at, seen_at)
              VALUES ($1, $2, $3, $4, $4)
@@ -91,9 +89,7 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn workers(&self) -> Result<Vec<WorkerRow>> {
-        let rows = sqlx::query("SELECT * FROM workers ORDER BY id")
-            .fetch_all(&self.pool)
-            .await?;
+        let rows = sqlx::query("SELECT * FROM workers ORDER BY id").fetch_all(&self.pool).await?;
         let mut workers: Vec<WorkerRow> = rows.iter().map(worker).collect::<Result<_>>()?;
         let running = sqlx::query(
             "SELECT id, lease_owner, steps_per_second FROM jobs
@@ -106,9 +102,7 @@ impl Store {
             let owner = owner.unwrap_or_default();
             for worker in &mut workers {
                 if is_of(&owner, &worker.id) {
-                    worker
-                        .running
-                        .push((row.try_get("id")?, row.try_get("steps_per_second")?));
+                    worker.running.push((row.try_get("id")?, row.try_get("steps_per_second")?));
                 }
             }
         }
@@ -155,19 +149,15 @@ impl Store {
 
 /// Returns whether a lease, which names a worker and one of its slots, belongs to this worker.
 fn is_of(owner: &str, worker: &str) -> bool {
-    owner
-        .strip_prefix(worker)
-        .is_some_and(|turn| turn.starts_with('/'))
+    owner.strip_prefix(worker).is_some_and(|turn| turn.starts_with('/'))
 }
 
 fn worker(row: &AnyRow) -> Result<WorkerRow> {
     let about: String = row.try_get("about")?;
     Ok(WorkerRow {
         id: row.try_get("id")?,
-        about: serde_json::from_str(&about).map_err(|error| ServerError::Damaged {
-            what: "worker",
-            detail: error.to_string(),
-        })?,
+        about: serde_json::from_str(&about)
+            .map_err(|error| ServerError::Damaged { what: "worker", detail: error.to_string() })?,
         draining: row.flag("draining")?,
         started_at: row.try_get("started_at")?,
         seen_at: row.try_get("seen_at")?,

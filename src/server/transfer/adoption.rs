@@ -76,19 +76,13 @@ mod tests {
     #[tokio::test]
     async fn videos_of_an_earlier_build_are_jobs_after_a_start() {
         let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
+        let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         keep_capture(&store, "c", None, &[]).await;
         create(&store, "j").await;
         fs::create_dir_all(dir.path().join("captures/c")).expect("made");
         for (id, state, error) in [
             ("v1", "succeeded", Value::Null),
-            (
-                "v2",
-                "failed",
-                json!({ "detail": "it broke", "hint": "again" }),
-            ),
+            ("v2", "failed", json!({ "detail": "it broke", "hint": "again" })),
         ] {
             let folder = dir.path().join("jobs/j/videos").join(id);
             fs::create_dir_all(&folder).expect("made");
@@ -111,10 +105,7 @@ mod tests {
             assert_eq!(made.job.options, plan);
             assert_eq!(failed.job.state, JobState::Failed);
             let error = failed.job.error.as_ref().expect("why");
-            assert_eq!(
-                (error.detail.as_str(), error.hint.as_str()),
-                ("it broke", "again")
-            );
+            assert_eq!((error.detail.as_str(), error.hint.as_str()), ("it broke", "again"));
             let file = dir.path().join("jobs/v1/output/video.mp4");
             assert_eq!(fs::read(file).expect("there"), b"mp4");
             assert!(!dir.path().join("jobs/j/videos").exists());

@@ -118,9 +118,7 @@ fn make_empty(to: &Path) -> Result<()> {
         fs::create_dir_all(to)?;
         match fs::read_dir(to)?.next() {
             None => Ok(()),
-            Some(_) => Err(io::Error::other(
-                "it is not empty; a backup needs a new folder",
-            )),
+            Some(_) => Err(io::Error::other("it is not empty; a backup needs a new folder")),
         }
     };
     make().map_err(ServerError::io(to))
@@ -189,12 +187,7 @@ mod tests {
         let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");
         assert_eq!(anew, 1);
         assert!(!copy.begin_anew("nobody").await.expect("asked"));
-        let state = async |id| {
-            copy.job(id)
-                .await
-                .expect("read")
-                .map(|job| job.state.name())
-        };
+        let state = async |id| copy.job(id).await.expect("read").map(|job| job.state.name());
         assert_eq!(state("stays").await, Some("cancelled"));
         assert_eq!(state("again").await, Some("queued"));
         assert_eq!(state("goes").await, None);

@@ -58,10 +58,7 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
     let settle = |deaths| after_death(&Limits::default(), deaths);
     kill_orphans(&source.release_all(settle).await?);
     adopt_videos(&source, &data).await?;
-    let mut done = Migrated {
-        uploads: source.ids("uploads").await?.len(),
-        ..Migrated::default()
-    };
+    let mut done = Migrated { uploads: source.ids("uploads").await?.len(), ..Migrated::default() };
     let of_captures = keep_captures(&source, &data, &blobs).await?;
     let of_jobs = keep_jobs(&source, &data, &blobs).await?;
     done.rows = target.copy_from(&source, &of_captures, &of_jobs).await?;

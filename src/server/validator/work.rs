@@ -62,10 +62,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
 
 /// Limits the memory of this process and its children, and disables core dumps.
 fn limit(memory: u64) -> io::Result<()> {
-    let to = |bytes| Rlimit {
-        current: Some(bytes),
-        maximum: Some(bytes),
-    };
+    let to = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };
     setrlimit(Resource::As, to(memory))?;
     setrlimit(Resource::Core, to(0))?;
     Ok(())
@@ -74,17 +71,10 @@ fn limit(memory: u64) -> io::Result<()> {
 fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
     let name = video.file.file_name().unwrap_or_default().to_string_lossy();
     let stem = video.file.file_stem().unwrap_or_default().to_string_lossy();
-    let wanted = Wanted {
-        count: video.frames,
-        into: &video.into,
-        stem: &stem,
-        room,
-    };
+    let wanted = Wanted { count: video.frames, into: &video.into, stem: &stem, room };
     // It must not outlive this process.
-    let command = guarded(&video.ffmpeg).map_err(|source| VideoError::Io {
-        path: "the running program".into(),
-        source,
-    })?;
+    let command = guarded(&video.ffmpeg)
+        .map_err(|source| VideoError::Io { path: "the running program".into(), source })?;
     let taken = take_frames(&command, &video.file, &wanted, &CancelToken::new())?;
     Ok(taken.told(&name))
 }

@@ -159,19 +159,12 @@ mod tests {
             "http://169.254.169.254/latest",
         ];
         // Not every resolver knows these.
-        for url in [
-            "http://hook.localhost/",
-            "http://127.0.0.1./",
-            "http://a.0X7F/",
-        ] {
+        for url in ["http://hook.localhost/", "http://127.0.0.1./", "http://a.0X7F/"] {
             assert!(check_url(url, false).is_err(), "{url}");
         }
         let agent = agent(Duration::from_secs(5), false);
         for url in inner {
-            assert!(
-                check_url(url, false).is_err() && check_url(url, true).is_ok(),
-                "{url}"
-            );
+            assert!(check_url(url, false).is_err() && check_url(url, true).is_ok(), "{url}");
             let error = agent.get(url).call().expect_err(url);
             assert_eq!(reason(&error), INNER, "{url}");
         }

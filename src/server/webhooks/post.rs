@@ -26,9 +26,7 @@ pub(super) async fn post(
     };
     let thread = std::thread::Builder::new().name("webhook".to_owned());
     thread.spawn(send).map_err(|error| error.to_string())?;
-    receiver
-        .await
-        .map_err(|_| "the attempt was lost".to_owned())?
+    receiver.await.map_err(|_| "the attempt was lost".to_owned())?
 }
 
 fn send(url: &str, signed: &Signed, body: &str, inner: bool) -> Result<u16, String> {
@@ -39,7 +37,5 @@ fn send(url: &str, signed: &Signed, body: &str, inner: bool) -> Result<u16, Stri
         .header("webhook-timestamp", signed.timestamp.to_string())
         .header("webhook-signature", &signed.signature)
         .send(body);
-    answer
-        .map(|answer| answer.status().as_u16())
-        .map_err(|error| reason(&error))
+    answer.map(|answer| answer.status().as_u16()).map_err(|error| reason(&error))
 }

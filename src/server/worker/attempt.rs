@@ -46,14 +46,8 @@ enum Due {
 
 /// The outcome that a job's process reported.
 enum LastWords {
-    Finished {
-        best_round: u32,
-    },
-    Failed {
-        kind: String,
-        detail: String,
-        hint: String,
-    },
+    Finished { best_round: u32 },
+    Failed { kind: String, detail: String, hint: String },
 }
 
 pub(super) struct Attempt<'a> {
@@ -278,28 +272,15 @@ impl Attempt<'_> {
     async fn exit(&self, group: &mut Group) -> Result<End> {
         match tokio::time::timeout(DRAIN, group.wait()).await {
             Ok(Ok(status)) => Ok(End::Exited(status)),
-            Ok(Err(source)) => Err(ServerError::Io {
-                path: "job".into(),
-                source,
-            }),
-            Err(_) => {
-                self.timed_out("closed its output but kept running", DRAIN)
-                    .await
-            }
+            Ok(Err(source)) => Err(ServerError::Io { path: "job".into(), source }),
+            Err(_) => self.timed_out("closed its output but kept running", DRAIN).await,
         }
     }
 
     async fn timed_out(&self, what: &str, limit: Duration) -> Result<End> {
-        let detail = format!(
-            "{} {what} for {} s and was stopped",
-            self.process(),
-            limit.as_secs()
-        );
+        let detail = format!("{} {what} for {} s and was stopped", self.process(), limit.as_secs());
         let hint = self.hint("The log shows what it did last. A smaller preset takes less time.");
-        Ok(End::Stop(
-            self.failure(ErrorKind::Timeout, detail, hint.to_owned())
-                .await?,
-        ))
+        Ok(End::Stop(self.failure(ErrorKind::Timeout, detail, hint.to_owned()).await?))
     }
 
     async fn take(&mut self, line: Line) -> Result<()> {
@@ -323,21 +304,12 @@ impl Attempt<'_> {
     async fn event(&mut self, event: Event) -> Result<()> {
         match event {
             Event::Log { message } => self.log.line(&message),
-            Event::StageAdvanced {
-                stage,
-                round,
-                done,
-                total,
-                steps_per_second,
-            } => {
+            Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
                 let pending = self.pending.get_or_insert_default();
                 pending.stage = Some((stage, round, done, total));
                 pending.steps_per_second = steps_per_second;
             }
-            Event::Progress {
-                progress,
-                eta_seconds,
-            } => {
+            Event::Progress { progress, eta_seconds } => {
                 let pending = self.pending.get_or_insert_default();
                 pending.progress = progress.is_finite().then(|| progress.clamp(0.0, 1.0));
                 pending.eta_seconds = eta_seconds.filter(|eta| eta.is_finite());
@@ -411,26 +383,20 @@ impl Attempt<'_> {
                 }
                 // Not requested through this server: something else stopped the process.
                 let kind = kind.filter(|&kind| kind != ErrorKind::Cancelled);
-                self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint)
-                    .await
+                self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint).await
             }
             _ => {
                 let detail = format!("{} ended without a result ({status})", self.process());
                 let hint = self
                     .hint("The log shows what it did last. Signal 9 may mean that memory ran out.");
-                self.failure(ErrorKind::Internal, detail, hint.to_owned())
-                    .await
+                self.failure(ErrorKind::Internal, detail, hint.to_owned()).await
             }
         }
     }
 
     /// What its process is called.
     fn process(&self) -> &'static str {
-        if self.is_video {
-            "the video's process"
-        } else {
-            "the job's process"
-        }
+        if self.is_video { "the video's process" } else { "the job's process" }
     }
 
     /// What to do about it: the log of a video is for whoever runs the server.
@@ -470,22 +436,9 @@ impl Attempt<'_> {
         let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
         let wait = self.app.limits.retry_wait_ms(kind, failures);
         // With paths, for the operator.
-        tracing::warn!(
-            job = self.lease.job,
-            kind = kind.name(),
-            detail,
-            "an attempt failed"
-        );
-        let error = JobError {
-            code: kind.name().to_owned(),
-            detail: without_paths(&detail),
-            hint,
-        };
-        Ok(Settlement::Failed {
-            error,
-            retry_in_ms: retry.then_some(wait),
-            failures,
-        })
+        tracing::warn!(job = self.lease.job, kind = kind.name(), detail, "an attempt failed");
+        let error = JobError { code: kind.name().to_owned(), detail: without_paths(&detail), hint };
+        Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
     }
 }
 

@@ -32,13 +32,7 @@ impl Heartbeat {
     pub(super) fn begin(app: &App, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
         let watcher = app.config.watcher;
-        let task = tokio::spawn(heartbeat(
-            app.store.clone(),
-            app.limits,
-            watcher,
-            lease,
-            tell,
-        ));
+        let task = tokio::spawn(heartbeat(app.store.clone(), app.limits, watcher, lease, tell));
         Self { told, task }
     }
 

@@ -60,11 +60,7 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
     let mut file = match File::open(path) {
         Ok(file) => file,
         Err(error) if error.kind() == io::ErrorKind::NotFound => {
-            return Ok(Page {
-                lines: Vec::new(),
-                next_offset: 0,
-                end: true,
-            });
+            return Ok(Page { lines: Vec::new(), next_offset: 0, end: true });
         }
         Err(error) => return Err(error),
     };
@@ -72,11 +68,7 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
     let offset = offset.min(file.metadata()?.len());
     file.seek(SeekFrom::Start(offset))?;
     let mut reader = BufReader::new(file);
-    let mut page = Page {
-        lines: Vec::new(),
-        next_offset: offset,
-        end: false,
-    };
+    let mut page = Page { lines: Vec::new(), next_offset: offset, end: false };
     let mut bytes = Vec::new();
     while page.lines.len() < limit {
         bytes.clear();
@@ -87,11 +79,7 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
             break;
         }
         page.next_offset += bytes.len() as u64;
-        page.lines.push(
-            String::from_utf8_lossy(&bytes)
-                .trim_end_matches(['\n', '\r'])
-                .to_owned(),
-        );
+        page.lines.push(String::from_utf8_lossy(&bytes).trim_end_matches(['\n', '\r']).to_owned());
     }
     Ok(page)
 }
@@ -112,15 +100,9 @@ mod tests {
             (["one".to_owned(), "two".to_owned()].as_slice(), false)
         );
         let second = read_page(&path, first.next_offset, 2).expect("page");
-        assert_eq!(
-            (second.lines.as_slice(), second.end),
-            (["three".to_owned()].as_slice(), true)
-        );
+        assert_eq!((second.lines.as_slice(), second.end), (["three".to_owned()].as_slice(), true));
         std::fs::write(&path, "one\ntwo\nthree\nfour\n").expect("write");
-        assert_eq!(
-            read_page(&path, second.next_offset, 2).expect("page").lines,
-            ["four"]
-        );
+        assert_eq!(read_page(&path, second.next_offset, 2).expect("page").lines, ["four"]);
     }
 
     #[test]
@@ -132,10 +114,6 @@ mod tests {
             (0..50).for_each(|i| log.line(&format!("line {i}")));
         }
         let text = std::fs::read_to_string(&path).expect("read");
-        assert!(
-            text.len() < 400 && text.contains("The log is full"),
-            "{}",
-            text.len()
-        );
+        assert!(text.len() < 400 && text.contains("The log is full"), "{}", text.len());
     }
 }

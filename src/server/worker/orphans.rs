@@ -47,11 +47,7 @@ mod tests {
     #[test]
     fn only_processes_of_the_named_jobs_are_killed() {
         let sleeper = |job: &str| {
-            Command::new("sleep")
-                .arg("60")
-                .env(JOB_VARIABLE, job)
-                .spawn()
-                .expect("sleep starts")
+            Command::new("sleep").arg("60").env(JOB_VARIABLE, job).spawn().expect("sleep starts")
         };
         let (mut ours, mut other) = (sleeper("orphan-test-a"), sleeper("orphan-test-b"));
         // `spawn` returns a moment before the kernel shows the new program's environment.
@@ -66,10 +62,7 @@ mod tests {
         }
         assert_eq!(kill_orphans(&["orphan-test-a".to_owned()]), 1);
         assert!(!ours.wait().expect("ended").success());
-        assert!(
-            other.try_wait().expect("known").is_none(),
-            "another job's process was killed"
-        );
+        assert!(other.try_wait().expect("known").is_none(), "another job's process was killed");
         other.kill().expect("kill");
         other.wait().expect("ended");
     }

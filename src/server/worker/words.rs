@@ -6,30 +6,19 @@ use crate::store::Settlement;
 
 /// Returns whether an event is only for live viewers: they are too many for the log.
 pub(super) fn is_seen(event: &Event) -> bool {
-    matches!(
-        event,
-        Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. }
-    )
+    matches!(event, Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. })
 }
 
 /// Returns whether clients may request files once they have seen this event.
 pub(super) fn is_milestone(event: &Event) -> bool {
-    matches!(
-        event,
-        Event::StageFinished { .. } | Event::RoundFinished { .. }
-    )
+    matches!(event, Event::StageFinished { .. } | Event::RoundFinished { .. })
 }
 
 pub(super) fn readable(event: &Event) -> String {
     match event {
         Event::Planned { rounds, views, .. } => format!("planned {rounds} rounds of {views} views"),
         Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
-        Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        } => {
+        Event::StageFinished { stage, round, seconds, skipped } => {
             let how = if *skipped { "already done" } else { "done" };
             format!("{} {how}, {seconds:.1} s", place(*stage, *round))
         }
@@ -46,11 +35,7 @@ pub(super) fn readable(event: &Event) -> String {
 
 /// A stage as the log names it; the poses belong to no round.
 fn place(stage: Stage, round: u32) -> String {
-    if round == 0 {
-        stage.name().to_owned()
-    } else {
-        format!("round {round}: {}", stage.name())
-    }
+    if round == 0 { stage.name().to_owned() } else { format!("round {round}: {}", stage.name()) }
 }
 
 pub(super) fn closing_line(settlement: &Settlement) -> String {
@@ -61,15 +46,8 @@ pub(super) fn closing_line(settlement: &Settlement) -> String {
         Settlement::Released => {
             "interrupted: the server is stopping; the job continues after its restart".to_owned()
         }
-        Settlement::Failed {
-            error,
-            retry_in_ms: Some(wait),
-            ..
-        } => {
-            format!(
-                "failed ({}): {}; retrying in {wait} ms",
-                error.code, error.detail
-            )
+        Settlement::Failed { error, retry_in_ms: Some(wait), .. } => {
+            format!("failed ({}): {}; retrying in {wait} ms", error.code, error.detail)
         }
         // The hint is in the job's error, and the process has usually printed it.
         Settlement::Failed { error, .. } => {

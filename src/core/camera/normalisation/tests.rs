@@ -4,14 +4,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::camera::Intrinsics;
 
-const K: Intrinsics = Intrinsics {
-    width: 120,
-    height: 90,
-    fx: 104.0,
-    fy: 104.0,
-    cx: 60.0,
-    cy: 45.0,
-};
+const K: Intrinsics =
+    Intrinsics { width: 120, height: 90, fx: 104.0, fy: 104.0, cx: 60.0, cy: 45.0 };
 
 /// Twelve cameras at a distance of about 3 that look at the origin.
 fn room() -> Vec<Camera> {
@@ -120,10 +114,7 @@ fn a_rotation_of_six_digits_far_from_the_origin_leaves_cameras_where_they_are() 
         world_to_camera: glam::DMat4::from_mat3_translation(rotation, -(rotation * place)),
         ..exact
     };
-    let by = Normalisation {
-        offset: offset.round(),
-        ..Normalisation::default()
-    };
+    let by = Normalisation { offset: offset.round(), ..Normalisation::default() };
     let found = by.within(&given).centre();
     assert!(found.distance(place - offset.round()) < 1e-6, "{found}");
     assert!(by.in_world(&by.within(&given)).centre().distance(place) < 1e-6);

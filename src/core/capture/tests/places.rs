@@ -15,37 +15,22 @@ use crate::poses::{PoseRequest, PoseView, Poses, PosesError, Sfm};
 
 /// The camera of the photograph of this number.
 fn camera(number: usize) -> Camera {
-    let k = Intrinsics {
-        width: 96,
-        height: 64,
-        fx: 80.0,
-        fy: 80.0,
-        cx: 48.0,
-        cy: 32.0,
-    };
+    let k = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
     let eye = DVec3::new(number as f64, 0.25, -4.0);
     Camera::look_at(k, eye, DVec3::new(0.5, 0.0, 0.0), DVec3::Y)
 }
 
 /// The text files of a model of these names, each with the camera of its number.
 fn model(names: impl IntoIterator<Item = (usize, String)>) -> Vec<(String, Vec<u8>)> {
-    let views = names
-        .into_iter()
-        .map(|(number, name)| (name, camera(number)));
+    let views = names.into_iter().map(|(number, name)| (name, camera(number)));
     let model = SparseModel::of_views(views, [([0.0, 0.0, 1.0], [9, 9, 9])]);
     let files = model.text_files().into_iter();
-    files
-        .map(|(name, text)| (format!("sparse/0/{name}"), text.into_bytes()))
-        .collect()
+    files.map(|(name, text)| (format!("sparse/0/{name}"), text.into_bytes())).collect()
 }
 
 fn given(capture: &Capture) -> Result<Poses, PosesError> {
     let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-    let request = PoseRequest {
-        views: &views,
-        work_dir: Path::new("unused"),
-        seed: 0,
-    };
+    let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0 };
     let file = capture.poses.as_ref().expect("poses");
     GivenPoses::open(file.path(), &capture.photographs)?.poses(
         &request,
@@ -56,20 +41,13 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
 
 /// Opens these files as a folder and as a zip; looks at each.
 fn both(files: &[(String, Vec<u8>)], look: impl Fn(Result<Capture, CaptureError>)) {
-    let files: Vec<(&str, Vec<u8>)> = files
-        .iter()
-        .map(|(name, bytes)| (name.as_str(), bytes.clone()))
-        .collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
     let home = folder(&files);
-    look(Capture::open(
-        &home.path().join("capture"),
-        &home.path().join("scratch"),
-    ));
+    look(Capture::open(&home.path().join("capture"), &home.path().join("scratch")));
     let zip = home.path().join("capture.zip");
     let pack = |writer: &mut ZipWriter<Cursor<Vec<u8>>>| {
-        files
-            .iter()
-            .for_each(|(name, bytes)| add(writer, name, bytes));
+        files.iter().for_each(|(name, bytes)| add(writer, name, bytes));
     };
     fs::write(&zip, zipped(&pack)).expect("written");
     look(Capture::open(&zip, &home.path().join("scratch")));
@@ -77,28 +55,18 @@ fn both(files: &[(String, Vec<u8>)], look: impl Fn(Result<Capture, CaptureError>
 
 /// Photographs of these paths, numbered.
 fn photographs(paths: &[&str]) -> Vec<(String, Vec<u8>)> {
-    paths
-        .iter()
-        .enumerate()
-        .map(|(i, path)| ((*path).to_owned(), jpeg(i)))
-        .collect()
+    paths.iter().enumerate().map(|(i, path)| ((*path).to_owned(), jpeg(i))).collect()
 }
 
 /// The paths below their folder, and what is warned of but that they are few or poses not read.
 fn read(files: &[(String, Vec<u8>)]) -> (Vec<String>, Vec<String>) {
-    let files: Vec<(&str, Vec<u8>)> = files
-        .iter()
-        .map(|(name, bytes)| (name.as_str(), bytes.clone()))
-        .collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
     let capture = open_folder(&files).expect("a capture");
     let is_beside = |code: &str| ["few", "poses_unused"].contains(&code);
     let warnings = { capture.warnings.into_iter() }.filter(|w| !is_beside(&w.code));
     (
-        capture
-            .photographs
-            .iter()
-            .map(ToString::to_string)
-            .collect(),
+        capture.photographs.iter().map(ToString::to_string).collect(),
         warnings.map(|warning| warning.message).collect(),
     )
 }
@@ -114,25 +82,13 @@ fn photographs_are_found_where_programs_and_cameras_put_them() {
         ("images_4", flat, &["poses_bounds.npy"]),
         ("images", flat, &[]),
         ("images", nested, &["notes.txt", "transforms.json"]),
-        (
-            "rgb",
-            flat,
-            &["depth/0.png", "depth/1.png", "transforms.json"],
-        ),
+        ("rgb", flat, &["depth/0.png", "depth/1.png", "transforms.json"]),
         ("", split, &["transforms.json"]),
         ("", split, &[]),
         ("", nested, &["sparse/0/readme.txt"]),
         ("DCIM", card, &["MISC/list.txt"]),
-        (
-            "keyframes/images",
-            flat,
-            &["keyframes/depth/0.png", "keyframes/cameras/0.json"],
-        ),
-        (
-            "my scene/images",
-            nested,
-            &["notes.txt", "my scene/transforms.json"],
-        ),
+        ("keyframes/images", flat, &["keyframes/depth/0.png", "keyframes/cameras/0.json"]),
+        ("my scene/images", nested, &["notes.txt", "my scene/transforms.json"]),
     ];
     for (folder, paths, others) in cases {
         let inside = |path: &&str| PhotoPath::new(path).inside(folder).to_string();
@@ -152,10 +108,7 @@ fn pictures_that_are_not_read_are_told() {
     let inside = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg", "cover.jpg"]);
     let (paths, told) = read(&inside);
     assert_eq!(paths, ["0.jpg", "1.jpg", "2.jpg"]);
-    assert!(
-        told[0].contains("images/") && told[0].contains("(1 picture)"),
-        "{told:?}"
-    );
+    assert!(told[0].contains("images/") && told[0].contains("(1 picture)"), "{told:?}");
     let beside = photographs(&["0.jpg", "1.jpg", "2.jpg", "edited/a.jpg", "edited/b.jpg"]);
     let (paths, told) = read(&beside);
     assert_eq!(paths.len(), 3);
@@ -185,19 +138,12 @@ fn what_may_be_several_scenes_or_none_is_refused_with_its_folders() {
     };
     let albums = photographs(&["garden/0.jpg", "garden/1.jpg", "kitchen/0.jpg"]);
     let told = refused(&albums);
-    assert!(
-        told.contains("garden/ (2 pictures) and kitchen/ (1 picture)"),
-        "{told}"
-    );
+    assert!(told.contains("garden/ (2 pictures) and kitchen/ (1 picture)"), "{told}");
     assert!(told.contains("into a folder images/"), "{told}");
     let scenes = photographs(&["a/images/0.jpg", "a/images/1.jpg", "b/images/0.jpg"]);
     assert!(refused(&scenes).contains("a/images/ (2"));
     let made = photographs(&["scan/depth/0.png", "scan/depth/1.png", "scan/notes.txt"]);
-    assert!(
-        refused(&made).contains("depth/ (2 pictures)"),
-        "{}",
-        refused(&made)
-    );
+    assert!(refused(&made).contains("depth/ (2 pictures)"), "{}", refused(&made));
     assert!(refused(&photographs(&["notes.txt"])).contains("no photograph"));
     // Poses tell that they are one.
     let mut posed = albums;
@@ -207,27 +153,15 @@ fn what_may_be_several_scenes_or_none_is_refused_with_its_folders() {
 
 #[test]
 fn ground_truth_lies_in_the_same_folders_as_its_photographs() {
-    let mut files = photographs(&[
-        "images/cam0/0.jpg",
-        "images/cam1/0.jpg",
-        "images/cam1/1.jpg",
-    ]);
-    files.extend(photographs(&[
-        "gt/cam0/0.png",
-        "gt/cam1/0.png",
-        "gt/cam1/1.png",
-    ]));
+    let mut files = photographs(&["images/cam0/0.jpg", "images/cam1/0.jpg", "images/cam1/1.jpg"]);
+    files.extend(photographs(&["gt/cam0/0.png", "gt/cam1/0.png", "gt/cam1/1.png"]));
     both(&files, |opened| {
         let capture = opened.expect("a capture");
         for (number, view) in capture.views.iter().enumerate() {
             let truth = fs::read(view.gt.as_ref().expect("truth")).expect("read");
             assert!(truth == jpeg(number), "{}", view.path);
         }
-        let names: Vec<&str> = capture
-            .views
-            .iter()
-            .map(|view| view.name.as_str())
-            .collect();
+        let names: Vec<&str> = capture.views.iter().map(|view| view.name.as_str()).collect();
         assert_eq!(names, ["cam0_0", "cam1_0", "cam1_1"]);
     });
 }
@@ -235,37 +169,20 @@ fn ground_truth_lies_in_the_same_folders_as_its_photographs() {
 #[test]
 fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
     // In the order of bytes, with the number of each row's camera.
-    let names = [
-        "B.jpg",
-        "a_1.jpg",
-        "a_10.jpg",
-        "a_2.jpg",
-        "broken_3.jpg",
-        "c_é.jpg",
-    ];
+    let names = ["B.jpg", "a_1.jpg", "a_10.jpg", "a_2.jpg", "broken_3.jpg", "c_é.jpg"];
     let mut files: Vec<(String, Vec<u8>)> = photographs(&names);
     files[4].1.truncate(300);
-    let row = |number| BoundedCamera {
-        camera: camera(number),
-        near: 1.0,
-        far: 9.0,
-    };
+    let row = |number| BoundedCamera { camera: camera(number), near: 1.0, far: 9.0 };
     let home = tempfile::tempdir().expect("a temporary folder");
     let bounds = home.path().join("poses_bounds.npy");
     write_poses_bounds(&bounds, &[0, 1, 2, 3, 4, 5].map(row)).expect("written");
-    files.push((
-        "poses_bounds.npy".to_owned(),
-        fs::read(&bounds).expect("read"),
-    ));
+    files.push(("poses_bounds.npy".to_owned(), fs::read(&bounds).expect("read")));
     both(&files, |opened| {
         let capture = opened.expect("a capture");
         let poses = given(&capture).expect("poses");
         assert_eq!(poses.views.len(), 5);
         for (view, posed) in capture.views.iter().zip(&poses.views) {
-            let number = names
-                .iter()
-                .position(|n| *n == view.path.as_str())
-                .expect("known");
+            let number = names.iter().position(|n| *n == view.path.as_str()).expect("known");
             let (found, right) = (posed.camera.world_to_camera, camera(number).world_to_camera);
             assert!(found.abs_diff_eq(right, 1e-9), "{}", view.path);
         }
@@ -276,10 +193,7 @@ fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
 fn scenes_with_poses_of_their_own_are_not_one() {
     for (scenes, poses) in [
         (["a/images", "b/images"], "transforms.json"),
-        (
-            ["tandt/train/images", "tandt/truck/images"],
-            "../sparse/0/images.bin",
-        ),
+        (["tandt/train/images", "tandt/truck/images"], "../sparse/0/images.bin"),
         (["garden", "kitchen"], "transforms.json"),
     ] {
         let mut files = Vec::new();
@@ -297,11 +211,7 @@ fn scenes_with_poses_of_their_own_are_not_one() {
 
 #[test]
 fn a_few_pictures_in_images_give_way_to_photographs_elsewhere() {
-    for (others, told) in [
-        ("photos/", "photos/ (3"),
-        ("", "own folder (3"),
-        ("a/", "a/ (3"),
-    ] {
+    for (others, told) in [("photos/", "photos/ (3"), ("", "own folder (3"), ("a/", "a/ (3")] {
         let paths = ["0.jpg", "1.jpg", "2.jpg"].map(|name| format!("{others}{name}"));
         let mut files = photographs(&paths.each_ref().map(String::as_str));
         files.push(("images/logo.jpg".to_owned(), jpeg(9)));
@@ -331,20 +241,11 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
         "$RECYCLE.BIN/S-1/$R0.jpg",
         ".thumbnails/0.jpg",
     ];
-    files.extend(
-        traces
-            .iter()
-            .zip(9..)
-            .map(|(name, seed)| ((*name).to_owned(), jpeg(seed))),
-    );
+    files.extend(traces.iter().zip(9..).map(|(name, seed)| ((*name).to_owned(), jpeg(seed))));
     both(&files, |opened| {
         let capture = opened.expect("a capture");
         assert_eq!(capture.assessments.len(), 3);
-        assert!(
-            capture.warnings.iter().all(|w| w.code == "few"),
-            "{:?}",
-            capture.warnings
-        );
+        assert!(capture.warnings.iter().all(|w| w.code == "few"), "{:?}", capture.warnings);
     });
     // As the service stores them: what they are called lies beside.
     let names: serde_json::Map<_, _> = { files.iter().enumerate() }
@@ -353,17 +254,8 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
     let mut stored: Vec<(String, Vec<u8>)> = { files.into_iter().enumerate() }
         .map(|(i, (_, bytes))| (format!("images/{i}.jpg"), bytes))
         .collect();
-    stored.push((
-        NAMES.to_owned(),
-        serde_json::to_vec(&names).expect("written"),
-    ));
-    assert_eq!(
-        read(&stored),
-        (
-            ["0.jpg", "1.jpg", "2.jpg"].map(str::to_owned).to_vec(),
-            vec![]
-        )
-    );
+    stored.push((NAMES.to_owned(), serde_json::to_vec(&names).expect("written")));
+    assert_eq!(read(&stored), (["0.jpg", "1.jpg", "2.jpg"].map(str::to_owned).to_vec(), vec![]));
 }
 
 #[test]
@@ -379,16 +271,9 @@ fn files_like_photographs_are_listed_with_what_to_do() {
         fs::write(capture.join(name), b"II*\0").expect("written");
         let opened = Capture::open(&capture, home.path()).expect("a capture");
         let is_told = |a: &Assessment| {
-            a.name == name
-                && a.reason
-                    .as_ref()
-                    .is_some_and(|reason| reason.contains(told))
+            a.name == name && a.reason.as_ref().is_some_and(|reason| reason.contains(told))
         };
-        assert!(
-            opened.assessments.iter().any(is_told),
-            "{:?}",
-            opened.assessments
-        );
+        assert!(opened.assessments.iter().any(is_told), "{:?}", opened.assessments);
         assert_eq!(opened.views.len(), 3, "{name}");
     }
     #[cfg(unix)]
@@ -396,11 +281,7 @@ fn files_like_photographs_are_listed_with_what_to_do() {
         std::os::unix::fs::symlink("/nowhere/3.jpg", capture.join("3.jpg")).expect("linked");
         let opened = Capture::open(&capture, home.path()).expect("a capture");
         let is_told = |a: &Assessment| a.reason.as_deref() == Some("a link that leads nowhere");
-        assert!(
-            opened.assessments.iter().any(is_told),
-            "{:?}",
-            opened.assessments
-        );
+        assert!(opened.assessments.iter().any(is_told), "{:?}", opened.assessments);
     }
 }
 
@@ -411,28 +292,16 @@ fn of_equal_pictures_the_original_is_kept_and_not_its_copy() {
     let copies = copies.map(|(name, seed)| (name.to_owned(), jpeg(seed)));
     both(&[files, copies.to_vec()].concat(), |opened| {
         let capture = opened.expect("a capture");
-        let paths: Vec<&str> = capture
-            .views
-            .iter()
-            .map(|view| view.path.as_str())
-            .collect();
+        let paths: Vec<&str> = capture.views.iter().map(|view| view.path.as_str()).collect();
         assert_eq!(paths, ["0.jpg", "1.jpg", "2.jpg"]);
-        let copy = capture
-            .assessments
-            .iter()
-            .find(|a| a.name == "1 copy.jpg")
-            .expect("listed");
+        let copy = capture.assessments.iter().find(|a| a.name == "1 copy.jpg").expect("listed");
         assert_eq!(copy.reason.as_deref(), Some("the same picture as 1.jpg"));
     });
 }
 
 #[test]
 fn what_trainers_write_is_no_ground_truth() {
-    let bright = |seed| {
-        picture(seed, 96, 64)
-            .encode(EncodeFormat::Png)
-            .expect("encoded")
-    };
+    let bright = |seed| picture(seed, 96, 64).encode(EncodeFormat::Png).expect("encoded");
     let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     files.push(("output/test/ours_30000/gt/0.png".to_owned(), bright(9)));
     both(&files, |opened| {

@@ -14,9 +14,8 @@ fn model(names: &[&str]) -> Vec<u8> {
 fn with(more: &[(&str, Vec<u8>)]) -> Capture {
     let photographs = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
     let photographs = photographs.map(|name| format!("images/{name}"));
-    let mut files: Vec<(&str, Vec<u8>)> = { photographs.iter().zip(1..) }
-        .map(|(name, seed)| (name.as_str(), jpeg(seed)))
-        .collect();
+    let mut files: Vec<(&str, Vec<u8>)> =
+        { photographs.iter().zip(1..) }.map(|(name, seed)| (name.as_str(), jpeg(seed))).collect();
     files.extend(more.iter().cloned());
     open_folder(&files).expect("a capture")
 }
@@ -37,10 +36,7 @@ fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
         ([("sparse/0", &two[..]), ("sparse/1", &all[..])], "sparse/1"),
         ([("sparse/0", &all), ("sparse/1", &all)], "sparse/0"),
         ([("sparse/0", &strangers), ("sparse/2", &two)], "sparse/2"),
-        (
-            [("sparse", &two), ("colmap/sparse/0", &all)],
-            "colmap/sparse/0",
-        ),
+        ([("sparse", &two), ("colmap/sparse/0", &all)], "colmap/sparse/0"),
         ([("dense/sparse", &all), ("sparse/0", &two)], "dense/sparse"),
     ] {
         let mut files = Vec::new();
@@ -48,15 +44,10 @@ fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
             files.push((format!("{folder}/cameras.txt"), CAMERAS.to_vec()));
             files.push((format!("{folder}/images.txt"), model(names)));
         }
-        let files: Vec<_> = { files.iter() }
-            .map(|(name, bytes)| (&**name, bytes.clone()))
-            .collect();
+        let files: Vec<_> =
+            { files.iter() }.map(|(name, bytes)| (&**name, bytes.clone())).collect();
         let capture = with(&files);
-        assert!(
-            model_of(&capture).ends_with(taken),
-            "{taken}: {:?}",
-            capture.poses
-        );
+        assert!(model_of(&capture).ends_with(taken), "{taken}: {:?}", capture.poses);
         let said = |warning: &CaptureWarning| {
             warning.code == "models" && warning.message.contains(&format!("of {taken} are taken"))
         };
@@ -68,10 +59,7 @@ fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
 fn a_model_that_cannot_be_read_is_not_taken_in_place_of_one_that_can() {
     let capture = with(&[
         ("sparse/0/cameras.txt", b"1 PINHOLE 96\n".to_vec()),
-        (
-            "sparse/0/images.txt",
-            model(&["a.jpg", "b.jpg", "c.jpg", "d.jpg"]),
-        ),
+        ("sparse/0/images.txt", model(&["a.jpg", "b.jpg", "c.jpg", "d.jpg"])),
         ("sparse/1/cameras.txt", CAMERAS.to_vec()),
         ("sparse/1/images.txt", model(&["a.jpg", "b.jpg", "c.jpg"])),
     ]);
@@ -82,29 +70,11 @@ fn a_model_that_cannot_be_read_is_not_taken_in_place_of_one_that_can() {
 
 #[test]
 fn a_model_alone_is_taken_without_a_word_wherever_it_lies() {
-    for folder in [
-        "sparse/0/",
-        "sparse/7/",
-        "sparse/",
-        "colmap/sparse/0/",
-        "dense/sparse/",
-        "",
-    ] {
-        let (cameras, images) = (
-            format!("{folder}cameras.bin"),
-            format!("{folder}images.bin"),
-        );
+    for folder in ["sparse/0/", "sparse/7/", "sparse/", "colmap/sparse/0/", "dense/sparse/", ""] {
+        let (cameras, images) = (format!("{folder}cameras.bin"), format!("{folder}images.bin"));
         let capture = with(&[(&cameras, b"x".to_vec()), (&images, b"x".to_vec())]);
-        assert!(
-            model_of(&capture).ends_with(folder.trim_end_matches('/')),
-            "{folder}"
-        );
-        assert!(
-            capture
-                .warnings
-                .iter()
-                .all(|warning| warning.code != "models")
-        );
+        assert!(model_of(&capture).ends_with(folder.trim_end_matches('/')), "{folder}");
+        assert!(capture.warnings.iter().all(|warning| warning.code != "models"));
     }
 }
 
@@ -134,26 +104,14 @@ fn low_light_sets_have_their_photographs_in_low_and_the_truth_in_high() {
         panic!("{:?}", capture.poses);
     };
     assert!(file.ends_with("transforms_train.json"));
-    assert_ne!(
-        open(b"z").fingerprint,
-        capture.fingerprint,
-        "the test split counts, too"
-    );
+    assert_ne!(open(b"z").fingerprint, capture.fingerprint, "the test split counts, too");
 }
 
 #[test]
 fn poses_in_other_folders_are_taken_and_named() {
     let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
-    for folder in [
-        "colmap_text",
-        "images",
-        "dslr_calibration",
-        "export/model/0",
-    ] {
-        let (cameras, images) = (
-            format!("{folder}/Cameras.txt"),
-            format!("{folder}/images.txt"),
-        );
+    for folder in ["colmap_text", "images", "dslr_calibration", "export/model/0"] {
+        let (cameras, images) = (format!("{folder}/Cameras.txt"), format!("{folder}/images.txt"));
         let capture = with(&[(&cameras, CAMERAS.to_vec()), (&images, model(&all))]);
         assert!(model_of(&capture).ends_with(folder), "{:?}", capture.poses);
         let said = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
@@ -186,10 +144,7 @@ fn poses_that_are_not_used_are_told() {
         (
             vec![
                 ("undistorted/cameras.txt", CAMERAS.to_vec()),
-                (
-                    "undistorted/images.txt",
-                    model(&["a.png", "b.png", "c.png"]),
-                ),
+                ("undistorted/images.txt", model(&["a.png", "b.png", "c.png"])),
                 ("undistorted/a.png", jpeg(7)),
                 ("undistorted/b.png", jpeg(8)),
                 ("undistorted/c.png", jpeg(9)),
@@ -218,10 +173,7 @@ fn the_poses_of_most_photographs_are_taken_in_any_format() {
     let capture = with(&[
         ("sparse/0/cameras.txt", CAMERAS.to_vec()),
         ("sparse/0/images.txt", model(&all[..3])),
-        (
-            "transforms.json",
-            transforms(&all.map(|name| format!("images/{name}"))),
-        ),
+        ("transforms.json", transforms(&all.map(|name| format!("images/{name}")))),
     ]);
     assert!(matches!(capture.poses, Some(GivenPosesFile::Transforms(_))));
     let said = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
@@ -238,15 +190,9 @@ fn poses_beside_the_photographs_win_over_others() {
         files.push((format!("{folder}/cameras.txt"), CAMERAS.to_vec()));
         files.push((format!("{folder}/images.txt"), model(&names)));
     }
-    let files: Vec<_> = { files.iter() }
-        .map(|(name, bytes)| (&**name, bytes.clone()))
-        .collect();
+    let files: Vec<_> = { files.iter() }.map(|(name, bytes)| (&**name, bytes.clone())).collect();
     let capture = open_folder(&files).expect("a capture");
-    assert!(
-        model_of(&capture).ends_with("dense/sparse"),
-        "{:?}",
-        capture.poses
-    );
+    assert!(model_of(&capture).ends_with("dense/sparse"), "{:?}", capture.poses);
 }
 
 #[test]
@@ -262,18 +208,12 @@ fn pictures_that_poses_name_are_read_and_not_their_namesakes() {
     let read_from = |folder: &str, name: &dyn Fn(&str) -> String| {
         let mut files = files.clone();
         files.push(("transforms.json".to_owned(), transforms(&names.map(name))));
-        let files: Vec<_> = { files.iter() }
-            .map(|(name, b)| (&**name, b.clone()))
-            .collect();
+        let files: Vec<_> = { files.iter() }.map(|(name, b)| (&**name, b.clone())).collect();
         let capture = open_folder(&files).expect("a capture");
         let paths: Vec<&str> = capture.photographs.iter().map(PhotoPath::as_str).collect();
         assert_eq!(paths, names, "{folder}");
         let lies = |view: &CaptureView| view.file.parent().is_some_and(|f| f.ends_with(folder));
-        assert!(
-            capture.views.iter().all(lies),
-            "{folder}: {:?}",
-            capture.views
-        );
+        assert!(capture.views.iter().all(lies), "{folder}: {:?}", capture.views);
     };
     read_from("dark", &|name| format!("./dark/{name}"));
     read_from("images", &|name| format!("images/{name}"));

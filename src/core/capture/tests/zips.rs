@@ -11,45 +11,28 @@ fn a_zip_is_the_capture_that_its_folder_is() {
         "fox/gt/1.png",
         "fox/transforms.json",
     ];
-    let files: Vec<(&str, Vec<u8>)> = names
-        .iter()
-        .enumerate()
-        .map(|(i, name)| (*name, jpeg(i)))
-        .collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        names.iter().enumerate().map(|(i, name)| (*name, jpeg(i))).collect();
     let bytes = zipped(&|writer| {
-        files
-            .iter()
-            .for_each(|(name, bytes)| add(writer, name, bytes));
+        files.iter().for_each(|(name, bytes)| add(writer, name, bytes));
     });
     let (outcome, left) = open_zip(&bytes);
-    let (from_zip, from_folder) = (
-        outcome.expect("a capture"),
-        open_folder(&files).expect("a capture"),
-    );
+    let (from_zip, from_folder) =
+        (outcome.expect("a capture"), open_folder(&files).expect("a capture"));
     assert_eq!(from_zip.fingerprint, from_folder.fingerprint);
     assert_eq!(from_zip.assessments, from_folder.assessments);
     assert!(from_zip.views[0].gt.is_some() && from_zip.poses.is_some());
     assert_eq!(left.len(), 1 + names.len());
     let mut other = files.clone();
     other[0].1 = jpeg(77);
-    assert_ne!(
-        open_folder(&other).expect("a capture").fingerprint,
-        from_folder.fingerprint
-    );
+    assert_ne!(open_folder(&other).expect("a capture").fingerprint, from_folder.fingerprint);
 }
 
 #[test]
 fn a_zip_of_the_folder_that_it_was_made_in_is_read() {
-    let names = [
-        "./images/1.jpg",
-        "./images/2.jpg",
-        "./images/3.jpg",
-        "./.DS_Store",
-    ];
+    let names = ["./images/1.jpg", "./images/2.jpg", "./images/3.jpg", "./.DS_Store"];
     let bytes = zipped(&|writer| {
-        (1..)
-            .zip(names)
-            .for_each(|(i, name)| add(writer, name, &jpeg(i)));
+        (1..).zip(names).for_each(|(i, name)| add(writer, name, &jpeg(i)));
     });
     let capture = open_zip(&bytes).0.expect("a capture");
     assert_eq!(capture.photographs.len(), 3);
@@ -83,21 +66,9 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
         add(writer, "inner.zip", b"PK");
     });
     let cases: [(&str, Vec<u8>, &str); 8] = [
-        (
-            "../evil.jpg",
-            renamed("aa/evil.jpg", "../evil.jpg"),
-            "leads out",
-        ),
-        (
-            "/ab/evil.jpg",
-            renamed("aab/evil.jpg", "/ab/evil.jpg"),
-            "absolute",
-        ),
-        (
-            "C:/evil.jpg",
-            renamed("aa/evil.jpg", "C:/evil.jpg"),
-            "absolute",
-        ),
+        ("../evil.jpg", renamed("aa/evil.jpg", "../evil.jpg"), "leads out"),
+        ("/ab/evil.jpg", renamed("aab/evil.jpg", "/ab/evil.jpg"), "absolute"),
+        ("C:/evil.jpg", renamed("aa/evil.jpg", "C:/evil.jpg"), "absolute"),
         ("link.jpg", linked, "link"),
         ("zeros.jpg", zeros, "shrunk"),
         ("inner.zip", nested, "archive inside"),
@@ -112,11 +83,7 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
             "{entry}: {error}"
         );
         assert!(!error.is_of_the_machine());
-        assert_eq!(
-            left,
-            [PathBuf::from("capture.zip")],
-            "{entry} left something"
-        );
+        assert_eq!(left, [PathBuf::from("capture.zip")], "{entry} left something");
     }
 }
 
@@ -140,12 +107,7 @@ fn deflate64_is_read_and_other_methods_are_named() {
     let plain = open_zip(&bytes).0.expect("a capture");
     let capture = open_zip(&with_method(&bytes, 9)).0.expect("Deflate64");
     assert_eq!(capture.fingerprint, plain.fingerprint);
-    for (method, name) in [
-        (12, "bzip2"),
-        (14, "LZMA"),
-        (93, "Zstandard"),
-        (77, "an unknown"),
-    ] {
+    for (method, name) in [(12, "bzip2"), (14, "LZMA"), (93, "Zstandard"), (77, "an unknown")] {
         let error = open_zip(&with_method(&bytes, method)).0.expect_err(name);
         assert!(error.to_string().contains(name), "{error}");
     }
@@ -173,12 +135,7 @@ fn encrypted_and_corrupt_entries_are_refused_and_removed() {
     let at = find(&bytes, b"PK\x01\x02").expect("a central header");
     bytes[at + 8] |= 1;
     let (outcome, left) = open_zip(&bytes);
-    assert!(
-        outcome
-            .expect_err("encrypted")
-            .to_string()
-            .contains("0.jpg")
-    );
+    assert!(outcome.expect_err("encrypted").to_string().contains("0.jpg"));
     assert_eq!(left.len(), 1);
     let mut bytes = whole;
     bytes[60] ^= 0x55;
@@ -188,9 +145,7 @@ fn encrypted_and_corrupt_entries_are_refused_and_removed() {
 }
 
 fn find(bytes: &[u8], pattern: &[u8]) -> Option<usize> {
-    bytes
-        .windows(pattern.len())
-        .position(|window| window == pattern)
+    bytes.windows(pattern.len()).position(|window| window == pattern)
 }
 
 /// Replaces a name of equal length everywhere.

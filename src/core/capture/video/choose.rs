@@ -13,10 +13,7 @@ const MARGIN: f64 = 0.1;
 impl Stretches {
     /// Of a video with `frames` frames: `count`, or as many as there are frames.
     pub(super) fn of(frames: usize, count: usize) -> Self {
-        Self {
-            frames,
-            count: count.clamp(1, frames.max(1)),
-        }
+        Self { frames, count: count.clamp(1, frames.max(1)) }
     }
 
     /// The sharpest frame of each stretch, in order, no frame twice.
@@ -25,9 +22,7 @@ impl Stretches {
             .map(|stretch| {
                 let range = self.range(stretch);
                 let first = range.start;
-                range
-                    .max_by(|&a, &b| sharpness[a].total_cmp(&sharpness[b]))
-                    .unwrap_or(first)
+                range.max_by(|&a, &b| sharpness[a].total_cmp(&sharpness[b])).unwrap_or(first)
             })
             .collect()
     }
@@ -80,9 +75,8 @@ mod tests {
     #[test]
     fn a_blurred_frame_is_less_sharp_and_a_darker_one_is_not() {
         let side = 16;
-        let stripes: Vec<u8> = (0..side * side)
-            .map(|i| if i % side % 4 < 2 { 40 } else { 200 })
-            .collect();
+        let stripes: Vec<u8> =
+            (0..side * side).map(|i| if i % side % 4 < 2 { 40 } else { 200 }).collect();
         let darker: Vec<u8> = stripes.iter().map(|v| v / 4).collect();
         let soft: Vec<u8> = stripes.iter().map(|&v| v / 2 + 60).collect();
         let sharp = sharpness(&stripes, side);

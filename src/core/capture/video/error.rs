@@ -83,9 +83,7 @@ impl VideoError {
             return Self::NoPicture;
         }
         if said.contains("not on whitelist") || said.contains("Decoder not found") {
-            return Self::Codec {
-                said: last.to_owned(),
-            };
+            return Self::Codec { said: last.to_owned() };
         }
         let meaning = if said.contains("moov atom not found") {
             "it is cut short, or no MP4 or MOV: its index is missing"
@@ -94,9 +92,7 @@ impl VideoError {
         } else {
             "it is damaged, or no MP4 or MOV"
         };
-        Self::Unreadable {
-            reason: format!("{meaning} (ffmpeg says: {last})"),
-        }
+        Self::Unreadable { reason: format!("{meaning} (ffmpeg says: {last})") }
     }
 
     /// What to do about it.

@@ -86,10 +86,7 @@ impl Ffmpeg<'_> {
 
     fn missing(&self, reason: String) -> VideoError {
         let program = self.command.last().map(|program| program.to_string_lossy());
-        VideoError::Missing {
-            program: program.unwrap_or_default().into_owned(),
-            reason,
-        }
+        VideoError::Missing { program: program.unwrap_or_default().into_owned(), reason }
     }
 
     fn spawn(
@@ -105,14 +102,7 @@ impl Ffmpeg<'_> {
         };
         let mut command = command(program, first);
         command
-            .args([
-                "-threads",
-                "2",
-                "-filter_threads",
-                "2",
-                "-max_pixels",
-                &pixels,
-            ])
+            .args(["-threads", "2", "-filter_threads", "2", "-max_pixels", &pixels])
             // Numbers of frames begin anew where a size changes, if filters may do so.
             .args(["-reinit_filter", "0", "-codec_whitelist", CODECS])
             .args(["-protocol_whitelist", "file,pipe", "-f", "mov", "-i"])

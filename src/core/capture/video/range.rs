@@ -30,22 +30,10 @@ impl Hdr {
     /// # Errors
     /// [`VideoError`] where it cannot be read.
     pub(super) fn of(ffmpeg: &Ffmpeg<'_>) -> Result<Option<Self>, VideoError> {
-        let arguments = [
-            "-loglevel",
-            "info",
-            "-vf",
-            "showinfo",
-            "-frames:v",
-            "1",
-            "-f",
-            "null",
-        ];
+        let arguments = ["-loglevel", "info", "-vf", "showinfo", "-frames:v", "1", "-f", "null"];
         let arguments = arguments.iter().chain(&["-"]).map(|&text| text.to_owned());
         let mut nothing = |_: &[u8]| true;
-        let said = ffmpeg.run(
-            &arguments.collect::<Vec<_>>(),
-            Output::Chunks(1, &mut nothing),
-        )?;
+        let said = ffmpeg.run(&arguments.collect::<Vec<_>>(), Output::Chunks(1, &mut nothing))?;
         let transfer = if said.contains("color_trc:arib-std-b67") {
             Transfer::Hlg
         } else if said.contains("color_trc:smpte2084") {
@@ -53,18 +41,12 @@ impl Hdr {
         } else {
             return Ok(None);
         };
-        Ok(Some(Self {
-            transfer,
-            is_converted: true,
-        }))
+        Ok(Some(Self { transfer, is_converted: true }))
     }
 
     /// The same, where this ffmpeg cannot convert it.
     pub(super) fn left(self) -> Self {
-        Self {
-            is_converted: false,
-            ..self
-        }
+        Self { is_converted: false, ..self }
     }
 
     /// Filters behind others that make sRGB of it: linear up to three tenths of white, as the dark

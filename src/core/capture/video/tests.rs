@@ -31,22 +31,13 @@ fn taken(video: &Path, count: usize, into: &Path) -> Result<Taken, VideoError> {
 }
 
 fn wanted(count: usize, into: &Path) -> Wanted<'_> {
-    Wanted {
-        count,
-        into,
-        stem: "clip",
-        room: u64::MAX,
-    }
+    Wanted { count, into, stem: "clip", room: u64::MAX }
 }
 
 fn numbers(taken: &Taken) -> Vec<usize> {
     let number = |file: &PathBuf| {
         let stem = file.file_stem().expect("a stem").to_string_lossy();
-        stem.rsplit_once('-')
-            .expect("a number")
-            .1
-            .parse()
-            .expect("digits")
+        stem.rsplit_once('-').expect("a number").1.parse().expect("digits")
     };
     taken.files.iter().map(number).collect()
 }
@@ -62,9 +53,7 @@ fn of_every_stretch_the_sharpest_frame_becomes_a_photograph() {
         let image = Image::<Srgb>::load(file).expect("a photograph");
         assert_eq!((image.width(), image.height()), (320, 180));
     }
-    let left = fs::read_dir(folder.path().join("images"))
-        .expect("read")
-        .count();
+    let left = fs::read_dir(folder.path().join("images")).expect("read").count();
     assert_eq!(left, 6, "nothing else is left");
 }
 
@@ -74,14 +63,7 @@ fn a_video_held_upright_becomes_upright_photographs() {
     let lying = made(&folder, "lying.mp4", &[]);
     let video = folder.path().join("upright.mov");
     let status = Command::new("ffmpeg")
-        .args([
-            "-nostdin",
-            "-loglevel",
-            "error",
-            "-display_rotation",
-            "90",
-            "-i",
-        ])
+        .args(["-nostdin", "-loglevel", "error", "-display_rotation", "90", "-i"])
         .arg(&lying)
         .args(["-c", "copy"])
         .arg(&video)
@@ -107,10 +89,8 @@ fn what_is_no_video_cut_short_or_a_list_of_other_files_is_refused() {
     let whole = fs::read(made(&folder, "whole.mp4", &[])).expect("read");
     let secret = folder.path().join("secret.mp4");
     fs::write(&secret, &whole).expect("written");
-    let playlist = format!(
-        "#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nfile:{}\n",
-        secret.display()
-    );
+    let playlist =
+        format!("#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:9,\nfile:{}\n", secret.display());
     let list = format!("ffconcat version 1.0\nfile '{}'\n", secret.display());
     let cases: [(&str, Vec<u8>); 4] = [
         ("text.mp4", b"this is a text".to_vec()),
@@ -122,10 +102,7 @@ fn what_is_no_video_cut_short_or_a_list_of_other_files_is_refused() {
         let path = folder.path().join(name);
         fs::write(&path, bytes).expect("written");
         let error = taken(&path, 5, &folder.path().join("out")).expect_err(name);
-        assert!(
-            matches!(error, VideoError::Unreadable { .. }),
-            "{name}: {error}"
-        );
+        assert!(matches!(error, VideoError::Unreadable { .. }), "{name}: {error}");
         let words = error.to_string();
         let folder = folder.path().display().to_string();
         assert!(!words.contains(&folder), "{name}: {words}");
@@ -138,17 +115,11 @@ fn without_ffmpeg_it_says_so_and_a_cancelled_reading_ends() {
     let video = made(&folder, "whole.mp4", &[]);
     let cancel = CancelToken::new();
     let wanted = wanted(5, folder.path());
-    let none: [&[&str]; 2] = [
-        &["no-such-ffmpeg"],
-        &["sh", "-c", "exec no-such-ffmpeg", "sh"],
-    ];
+    let none: [&[&str]; 2] = [&["no-such-ffmpeg"], &["sh", "-c", "exec no-such-ffmpeg", "sh"]];
     for command in none {
         let command: Vec<OsString> = command.iter().map(OsString::from).collect();
         let error = take_frames(&command, &video, &wanted, &cancel);
-        assert!(
-            matches!(error, Err(VideoError::Missing { .. })),
-            "{error:?}"
-        );
+        assert!(matches!(error, Err(VideoError::Missing { .. })), "{error:?}");
     }
     cancel.cancel();
     let error = take_frames(&ffmpeg(), &video, &wanted, &cancel);
@@ -160,20 +131,13 @@ fn a_video_of_two_frames_is_too_short() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "short.mp4", &["-frames:v", "2"]);
     let error = taken(&video, 5, folder.path()).expect_err("too short");
-    assert!(
-        matches!(error, VideoError::TooShort { frames: 2 }),
-        "{error}"
-    );
+    assert!(matches!(error, VideoError::TooShort { frames: 2 }), "{error}");
 }
 
 #[test]
 fn hundreds_of_frames_are_taken_and_no_more_than_there_is_room_for() {
     let folder = TempDir::new().expect("folder");
-    let video = made(
-        &folder,
-        "long.mp4",
-        &["-t", "3", "-r", "100", "-vf", "scale=64:36"],
-    );
+    let video = made(&folder, "long.mp4", &["-t", "3", "-r", "100", "-vf", "scale=64:36"]);
     let into = folder.path().join("images");
     let taken = taken(&video, 250, &into).expect("frames");
     assert_eq!(taken.files.len(), 250);
@@ -248,20 +212,13 @@ fn a_larger_range_becomes_srgb_and_the_warning_says_so() {
         let into = folder.path().join(format!("{name}-{level}"));
         let taken = taken(&video, 3, &into).expect("frames");
         let told = taken.told("it");
-        assert!(
-            told.contains(&format!("HDR ({name}) and was tone-mapped")),
-            "{told}"
-        );
+        assert!(told.contains(&format!("HDR ({name}) and was tone-mapped")), "{told}");
         let image = Image::<Srgb>::load(&taken.files[0]).expect("a photograph");
         for value in image.get(48, 32) {
             assert!((value - expected).abs() < 0.006, "{name} {level}: {value}");
         }
     }
-    let usual = taken(
-        &made(&folder, "usual.mp4", &[]),
-        3,
-        &folder.path().join("usual"),
-    );
+    let usual = taken(&made(&folder, "usual.mp4", &[]), 3, &folder.path().join("usual"));
     assert_eq!(usual.expect("frames").hdr, None);
 }
 

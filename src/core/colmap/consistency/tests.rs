@@ -9,14 +9,8 @@ use crate::camera::Intrinsics;
 use crate::colmap::copies::Copy;
 use crate::poses::model::{ModelCamera, ModelImage};
 
-const INTRINSICS: Intrinsics = Intrinsics {
-    width: 560,
-    height: 420,
-    fx: 500.0,
-    fy: 500.0,
-    cx: 280.0,
-    cy: 210.0,
-};
+const INTRINSICS: Intrinsics =
+    Intrinsics { width: 560, height: 420, fx: 500.0, fy: 500.0, cx: 280.0, cy: 210.0 };
 
 /// Cameras once around a cloud of points.
 fn ring(count: usize) -> Vec<Camera> {
@@ -30,11 +24,7 @@ fn ring(count: usize) -> Vec<Camera> {
 
 fn copies(count: usize, share: usize) -> Copies {
     let size = (560 * share, 420 * share);
-    let copy = |index: usize| Copy {
-        file: format!("v{index:05}.png"),
-        original: size,
-        size,
-    };
+    let copy = |index: usize| Copy { file: format!("v{index:05}.png"), original: size, size };
     Copies {
         dir: "copies".into(),
         copies: (0..count).map(copy).collect(),
@@ -71,20 +61,13 @@ fn see(found: &mut Correspondences, cameras: &[Camera], pair: (usize, usize), co
         };
         matches.push([key_point(pair.0), key_point(pair.1)]);
     }
-    found.pairs.push(PairMatches {
-        first: pair.0,
-        second: pair.1,
-        matches,
-    });
+    found.pairs.push(PairMatches { first: pair.0, second: pair.1, matches });
 }
 
 /// Neighbours on the ring with many matches, those beyond them with fewer.
 fn neighbours(cameras: &[Camera]) -> Correspondences {
     let count = cameras.len();
-    let mut found = Correspondences {
-        key_points: vec![Vec::new(); count],
-        pairs: Vec::new(),
-    };
+    let mut found = Correspondences { key_points: vec![Vec::new(); count], pairs: Vec::new() };
     for first in 0..count {
         for (apart, matches) in [(1, 200), (2, 80)] {
             if first + apart < count {
@@ -99,10 +82,7 @@ fn neighbours(cameras: &[Camera]) -> Correspondences {
 fn on_the_wrong_side(cameras: &[Camera], from: usize) -> Vec<Camera> {
     let half = DMat4::from_rotation_y(std::f64::consts::PI);
     let turned = |(index, camera): (usize, &Camera)| match index >= from {
-        true => Camera {
-            world_to_camera: camera.world_to_camera * half,
-            ..*camera
-        },
+        true => Camera { world_to_camera: camera.world_to_camera * half, ..*camera },
         false => *camera,
     };
     cameras.iter().enumerate().map(turned).collect()
@@ -139,10 +119,7 @@ fn what_was_placed_on_the_wrong_side_is_not_believed() {
     let found = misled(&cameras, &wrong);
     let (model, small) = (model(&wrong, 1), copies(12, 1));
     let consistency = Consistency::of(&model, &small, &small, &found);
-    assert_eq!(
-        consistency.parts,
-        [(0..8).collect::<Vec<_>>(), (8..12).collect()]
-    );
+    assert_eq!(consistency.parts, [(0..8).collect::<Vec<_>>(), (8..12).collect()]);
 }
 
 #[test]
@@ -166,10 +143,7 @@ fn of_photographs_that_are_not_believed_the_strongest_pairs_stay() {
     let (model, small) = (model(&wrong, 1), copies(12, 1));
     let consistency = Consistency::of(&model, &small, &small, &found);
     // The pairs across to the wrong side fit the model, but not both of a pair are believed.
-    assert_eq!(
-        consistency.agreeing(&found, &strongest).pairs,
-        strongest.pairs
-    );
+    assert_eq!(consistency.agreeing(&found, &strongest).pairs, strongest.pairs);
 }
 
 #[test]

@@ -15,22 +15,15 @@ fn stem(file: &Path) -> String {
 /// Whether an early strategy places every photograph within 1 % of the sharp set's, or why not.
 fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
     let work = tempfile::tempdir().unwrap();
-    let request = PoseRequest {
-        views,
-        work_dir: work.path(),
-        seed: 0,
-    };
+    let request = PoseRequest { views, work_dir: work.path(), seed: 0 };
     let poses = ColmapCli::default()
         .poses(&request, &mut Silent, &CancelToken::new())
         .map_err(|error| error.to_string())?;
     let truth = SparseModel::read(&capture.join("sparse_gt")).unwrap();
     let (mut estimated, mut expected) = (Vec::new(), Vec::new());
     for view in &poses.views {
-        let image = truth
-            .images
-            .iter()
-            .find(|image| stem(Path::new(&image.name)) == view.name)
-            .unwrap();
+        let image =
+            truth.images.iter().find(|image| stem(Path::new(&image.name)) == view.name).unwrap();
         estimated.push(view.camera);
         expected.push(crate::camera::Camera {
             intrinsics: truth.camera_of(image).lens().intrinsics,
@@ -57,9 +50,7 @@ fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
 }
 
 fn register(name: &str) {
-    let capture = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/captures")
-        .join(name);
+    let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/captures").join(name);
     if !capture.is_dir() {
         return;
     }

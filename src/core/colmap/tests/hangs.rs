@@ -30,34 +30,17 @@ fn assert_nothing_left(scene: &Scene) {
 #[should_panic(expected = "the child lives on")]
 fn a_process_that_lives_on_is_noticed() {
     let scene = Scene::new(5, "");
-    std::fs::write(
-        scene.dir.path().join("child"),
-        std::process::id().to_string(),
-    )
-    .unwrap();
+    std::fs::write(scene.dir.path().join("child"), std::process::id().to_string()).unwrap();
     assert_nothing_left(&scene);
 }
 
 #[test]
 fn a_hang_ends_in_a_timeout_that_leaves_no_process_behind() {
     let scene = Scene::new(5, HANG);
-    let limits = Limits {
-        wall: Duration::from_secs(60),
-        silence: Duration::from_secs(1),
-    };
-    let outcome = scene.run(
-        &scene.tool().with_limits(limits),
-        &mut Silent,
-        &CancelToken::new(),
-    );
+    let limits = Limits { wall: Duration::from_secs(60), silence: Duration::from_secs(1) };
+    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
     assert!(
-        matches!(
-            outcome,
-            Err(PosesError::Timeout {
-                why: "without output",
-                ..
-            })
-        ),
+        matches!(outcome, Err(PosesError::Timeout { why: "without output", .. })),
         "{outcome:?}"
     );
     assert_nothing_left(&scene);
@@ -69,19 +52,9 @@ fn endless_output_meets_the_wall_limit_and_a_bounded_log() {
         5,
         "[ $command = feature_extractor ] && exec yes 'a line that says nothing'; exit 0",
     );
-    let limits = Limits {
-        wall: Duration::from_secs(3),
-        silence: Duration::from_secs(60),
-    };
-    let outcome = scene.run(
-        &scene.tool().with_limits(limits),
-        &mut Silent,
-        &CancelToken::new(),
-    );
-    assert!(
-        matches!(outcome, Err(PosesError::Timeout { why: "in all", .. })),
-        "{outcome:?}"
-    );
+    let limits = Limits { wall: Duration::from_secs(3), silence: Duration::from_secs(60) };
+    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
+    assert!(matches!(outcome, Err(PosesError::Timeout { why: "in all", .. })), "{outcome:?}");
     assert!(scene.log().len() < 9 << 20);
 }
 
@@ -100,10 +73,7 @@ fn a_cancel_is_obeyed_within_a_second_and_leaves_no_process_behind() {
     });
     let outcome = scene.run(&scene.tool(), &mut Silent, &cancel);
     let ended = Instant::now();
-    assert!(
-        matches!(outcome, Err(PosesError::Cancelled(_))),
-        "{outcome:?}"
-    );
+    assert!(matches!(outcome, Err(PosesError::Cancelled(_))), "{outcome:?}");
     assert!(ended - canceller.join().unwrap() < Duration::from_secs(1));
     assert_nothing_left(&scene);
 }

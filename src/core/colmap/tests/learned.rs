@@ -37,18 +37,10 @@ impl Matching for Neighbours {
         assert_eq!(pairs, Pairs::Within);
         assert!(pictures.iter().all(|picture| picture.is_file()));
         let row = |view: usize, point: usize| {
-            let shift = if self.contradicting.contains(&view) {
-                13
-            } else {
-                0
-            };
+            let shift = if self.contradicting.contains(&view) { 13 } else { 0 };
             ((point * 7 + point * shift) % 32) as f32
         };
-        let points = |view| {
-            (0..40)
-                .map(|point| [point as f32, row(view, point)])
-                .collect()
-        };
+        let points = |view| (0..40).map(|point| [point as f32, row(view, point)]).collect();
         let count = pictures.len();
         advance(count as u64, count as u64);
         let pair = |first| PairMatches {
@@ -81,9 +73,7 @@ impl Matching for Broken {
         _: &mut dyn FnMut(u64, u64),
         _: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
-        Err(PosesError::Matching {
-            detail: "no such node".to_owned(),
-        })
+        Err(PosesError::Matching { detail: "no such node".to_owned() })
     }
 
     fn describe(&self) -> String {
@@ -92,20 +82,13 @@ impl Matching for Broken {
 }
 
 fn statuses(poses: &Poses) -> Vec<PoseStatus> {
-    poses
-        .verdicts
-        .iter()
-        .map(|verdict| verdict.status)
-        .collect()
+    poses.verdicts.iter().map(|verdict| verdict.status).collect()
 }
 
 #[test]
 fn learned_matches_come_first_and_their_model_is_believed() {
     let scene = Scene::new(10, PLACES_ALL);
-    let matching = Neighbours {
-        contradicting: Vec::new(),
-        last_of_a_place: None,
-    };
+    let matching = Neighbours { contradicting: Vec::new(), last_of_a_place: None };
     let tool = scene.tool().with_matching(Arc::new(matching));
     assert!(tool.describe().ends_with(", a stand-in"));
     let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
@@ -118,10 +101,7 @@ fn learned_matches_come_first_and_their_model_is_believed() {
     let at = |command: &str| log.find(command).expect(command);
     assert!(at("feature_importer") < at("matches_importer"));
     assert!(at("matches_importer") < at("feature_extractor"));
-    assert!(
-        !log.contains("sparse-C"),
-        "the first strategy alone might do better"
-    );
+    assert!(!log.contains("sparse-C"), "the first strategy alone might do better");
     let folder = scene.work_dir().join("learned");
     let features = std::fs::read_to_string(folder.join("v00003.png.txt")).unwrap();
     assert_eq!(features.lines().next(), Some("40 128"));
@@ -136,18 +116,12 @@ fn learned_matches_come_first_and_their_model_is_believed() {
 #[test]
 fn a_place_that_stronger_matches_contradict_is_left_out_by_name() {
     let scene = Scene::new(10, PLACES_ALL);
-    let matching = Neighbours {
-        contradicting: vec![9],
-        last_of_a_place: None,
-    };
+    let matching = Neighbours { contradicting: vec![9], last_of_a_place: None };
     let tool = scene.tool().with_matching(Arc::new(matching));
     let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
     assert_eq!((poses.registered, poses.total), (9, 10));
     assert!(poses.views.iter().all(|view| view.name != "view9"));
-    assert_eq!(
-        statuses(&poses)[8..],
-        [PoseStatus::Registered, PoseStatus::Doubtful]
-    );
+    assert_eq!(statuses(&poses)[8..], [PoseStatus::Registered, PoseStatus::Doubtful]);
     // The stand-in's points are seen by all.
     assert!(poses.points.iter().all(|point| point.track == 9));
     assert!(!poses.low_confidence, "nine of ten are enough");
@@ -156,35 +130,18 @@ fn a_place_that_stronger_matches_contradict_is_left_out_by_name() {
 #[test]
 fn where_most_places_are_contradicted_no_model_is_trusted() {
     let scene = Scene::new(10, PLACES_ALL);
-    let matching = Neighbours {
-        contradicting: (3..10).step_by(2).collect(),
-        last_of_a_place: None,
-    };
+    let matching =
+        Neighbours { contradicting: (3..10).step_by(2).collect(), last_of_a_place: None };
     let tool = scene.tool().with_matching(Arc::new(matching));
-    let error = scene
-        .run(&tool, &mut Silent, &CancelToken::new())
-        .unwrap_err();
-    assert!(
-        matches!(
-            error,
-            PosesError::TooFew {
-                registered: 3,
-                total: 10,
-                ..
-            }
-        ),
-        "{error}"
-    );
+    let error = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap_err();
+    assert!(matches!(error, PosesError::TooFew { registered: 3, total: 10, .. }), "{error}");
 }
 
 #[test]
 fn of_two_models_that_are_as_whole_the_more_exact_one_is_taken() {
     // As exact: COLMAP's own points are finer.
     let scene = Scene::new(10, PLACES_ALWAYS);
-    let matching = || Neighbours {
-        contradicting: Vec::new(),
-        last_of_a_place: None,
-    };
+    let matching = || Neighbours { contradicting: Vec::new(), last_of_a_place: None };
     let strategy = |scene: &Scene| {
         let tool = scene.tool().with_matching(Arc::new(matching()));
         let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
@@ -195,10 +152,7 @@ fn of_two_models_that_are_as_whole_the_more_exact_one_is_taken() {
 if [ "$command" = mapper ]; then
   case "$out" in *sparse-A) model "$out/0" 10 7;; *) model "$out/0" 10 10;; esac
 fi; exit 0"#;
-    assert_eq!(
-        strategy(&Scene::new(10, fewer_observations)),
-        (10, Some('L'))
-    );
+    assert_eq!(strategy(&Scene::new(10, fewer_observations)), (10, Some('L')));
 }
 
 #[test]
@@ -214,20 +168,15 @@ fn networks_that_fail_are_told_and_colmaps_own_features_used() {
     let poses = scene.run(&tool, &mut sink, &CancelToken::new()).unwrap();
     assert_eq!((poses.registered, poses.strategy), (10, Some('A')));
     assert_eq!(codes.len(), 1);
-    assert!(
-        codes[0].0 == "matcher_failed" && codes[0].1.contains("no such node"),
-        "{codes:?}"
-    );
+    assert!(codes[0].0 == "matcher_failed" && codes[0].1.contains("no such node"), "{codes:?}");
 }
 
 #[test]
 fn a_capture_of_two_places_names_what_hangs_together() {
     let scene = Scene::new(10, PLACES_ALL);
     let two = |last_of_a_place| {
-        let matching = Neighbours {
-            contradicting: Vec::new(),
-            last_of_a_place: Some(last_of_a_place),
-        };
+        let matching =
+            Neighbours { contradicting: Vec::new(), last_of_a_place: Some(last_of_a_place) };
         let tool = scene.tool().with_matching(Arc::new(matching));
         scene.run(&tool, &mut Silent, &CancelToken::new())
     };
@@ -248,27 +197,14 @@ fn parts_too_small_for_a_scene_are_told_in_the_error() {
         r#"
 if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
     );
-    let matching = Neighbours {
-        contradicting: Vec::new(),
-        last_of_a_place: Some(4),
-    };
+    let matching = Neighbours { contradicting: Vec::new(), last_of_a_place: Some(4) };
     let tool = scene.tool().with_matching(Arc::new(matching));
-    let error = scene
-        .run(&tool, &mut Silent, &CancelToken::new())
-        .unwrap_err();
-    let PosesError::TooFew {
-        registered: 4,
-        total: 10,
-        advice,
-    } = error
-    else {
+    let error = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap_err();
+    let PosesError::TooFew { registered: 4, total: 10, advice } = error else {
         panic!("{error}");
     };
     assert!(advice.contains("2 places"), "{advice}");
-    assert!(
-        advice.contains("5 (view0, view1, view2, view3, view4)"),
-        "{advice}"
-    );
+    assert!(advice.contains("5 (view0, view1, view2, view3, view4)"), "{advice}");
 }
 
 /// The stand-in's cameras in a world of twice the size that is turned, those of `off` elsewhere.
@@ -286,19 +222,13 @@ fn given(scene: &Scene, off: &[usize]) -> Vec<PosedView> {
             let turn = DMat4::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.2);
             camera.world_to_camera = turn * camera.world_to_camera;
         }
-        PosedView {
-            camera,
-            ..view.clone()
-        }
+        PosedView { camera, ..view.clone() }
     };
     found.views.iter().enumerate().map(place).collect()
 }
 
 fn in_order() -> Neighbours {
-    Neighbours {
-        contradicting: Vec::new(),
-        last_of_a_place: None,
-    }
+    Neighbours { contradicting: Vec::new(), last_of_a_place: None }
 }
 
 fn refined(scene: &Scene, given: &[PosedView]) -> Result<Option<Poses>, PosesError> {
@@ -312,11 +242,7 @@ fn refined_by(
     sink: &mut dyn ProgressSink,
 ) -> Result<Option<Poses>, PosesError> {
     let tool = scene.tool().with_matching(Arc::new(matching));
-    let request = PoseRequest {
-        views: &scene.views,
-        work_dir: &scene.work_dir(),
-        seed: 1,
-    };
+    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
     tool.refine(&request, given, sink, &CancelToken::new())
 }
 
@@ -328,50 +254,29 @@ fn given_poses_that_the_matches_contradict_are_refined_in_their_own_world() {
     // One was not given at all.
     rough.remove(4);
     let poses = refined(&scene, &rough).unwrap().expect("better ones");
-    assert_eq!(
-        (poses.registered, &*poses.source),
-        (10, "given, refined by colmap 3.8")
-    );
+    assert_eq!((poses.registered, &*poses.source), (10, "given, refined by colmap 3.8"));
     for (view, truth) in poses.views.iter().zip(&truth) {
         assert_eq!(view.name, truth.name);
         let away = view.camera.centre().distance(truth.camera.centre());
         let ahead = view.camera.forward().dot(truth.camera.forward());
-        assert!(
-            away < 1e-4 && ahead > 1.0 - 1e-6,
-            "{}: {away}, {ahead}",
-            view.name
-        );
+        assert!(away < 1e-4 && ahead > 1.0 - 1e-6, "{}: {away}, {ahead}", view.name);
     }
-    let between = poses.views[0]
-        .camera
-        .centre()
-        .distance(poses.views[1].camera.centre());
+    let between = poses.views[0].camera.centre().distance(poses.views[1].camera.centre());
     assert!((between - 2.0).abs() < 1e-4, "the given scale: {between}");
-    let depth = poses.views[0]
-        .camera
-        .project(poses.points[0].position.into());
-    assert!(
-        depth.is_some_and(|(_, depth)| (depth - 2.0).abs() < 1e-4),
-        "{depth:?}"
-    );
+    let depth = poses.views[0].camera.project(poses.points[0].position.into());
+    assert!(depth.is_some_and(|(_, depth)| (depth - 2.0).abs() < 1e-4), "{depth:?}");
 }
 
 #[test]
 fn a_view_that_is_placed_nowhere_keeps_its_given_pose_and_that_is_told() {
     let scene = Scene::new(10, PLACES_ALL);
     let rough = given(&scene, &[2, 7]);
-    let lost = Neighbours {
-        contradicting: vec![9],
-        last_of_a_place: None,
-    };
+    let lost = Neighbours { contradicting: vec![9], last_of_a_place: None };
     let poses = refined_by(&scene, &rough, lost, &mut Silent).unwrap();
     let poses = poses.expect("better ones");
     assert_eq!(poses.registered, 10);
     assert_eq!(poses.views[9].camera, rough[9].camera);
-    assert_eq!(
-        statuses(&poses)[8..],
-        [PoseStatus::Registered, PoseStatus::Given]
-    );
+    assert_eq!(statuses(&poses)[8..], [PoseStatus::Registered, PoseStatus::Given]);
 }
 
 #[test]
@@ -388,13 +293,7 @@ fn given_poses_that_fit_as_well_stand_and_so_do_those_nobody_can_check() {
     };
     let found = refined_by(&nothing, &rough, in_order(), &mut sink).unwrap();
     assert_eq!((found, &*told), (None, &["poses_unrefined".to_owned()][..]));
-    let request = PoseRequest {
-        views: &scene.views,
-        work_dir: &scene.work_dir(),
-        seed: 1,
-    };
-    let without = scene
-        .tool()
-        .refine(&request, &rough, &mut Silent, &CancelToken::new());
+    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
+    let without = scene.tool().refine(&request, &rough, &mut Silent, &CancelToken::new());
     assert_eq!(without.unwrap(), None, "no networks");
 }

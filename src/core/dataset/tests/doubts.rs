@@ -21,26 +21,14 @@ fn lenses_that_no_camera_has_are_told_with_their_numbers() {
     for (edit, words) in [
         (json!({ "fl_x": 4.25 }), "focal length of 2.1250 px"),
         (json!({ "fl_x": 4.25e3 }), "focal length of 2125.0000 px"),
-        (
-            json!({ "cx": 0.5, "cy": 0.5 }),
-            "principal point of 0.2500, 0.2500 px",
-        ),
-        (
-            json!({ "cx": 1.5, "cy": -0.7 }),
-            "principal point of 0.7500, -0.3500 px",
-        ),
-        (
-            json!({ "cx": 160.0, "cy": 120.0 }),
-            "principal point of 80.0000, 60.0000 px",
-        ),
+        (json!({ "cx": 0.5, "cy": 0.5 }), "principal point of 0.2500, 0.2500 px"),
+        (json!({ "cx": 1.5, "cy": -0.7 }), "principal point of 0.7500, -0.3500 px"),
+        (json!({ "cx": 160.0, "cy": 120.0 }), "principal point of 80.0000, 60.0000 px"),
         (json!({ "k1": -9.0 }), "distortion that leaves"),
         (json!({ "k1": 900.0 }), "distortion that leaves"),
     ] {
         let warnings = warnings(&capture, &edit);
-        said(
-            &warnings,
-            &["transforms.json: photo0.png, photo1.png", words],
-        );
+        said(&warnings, &["transforms.json: photo0.png, photo1.png", words]);
     }
     for good in [
         json!({ "fl_x": 20.0 }),
@@ -68,10 +56,7 @@ fn a_pose_of_nearly_the_same_size_is_told_with_both_sizes() {
         let edit = json!({ "w": width, "h": height, "fl_x": 0.875 * f64::from(width) });
         let warnings = warnings(&capture, &edit);
         match is_told {
-            true => said(
-                &warnings,
-                &["40 x 30 px", &format!("{width} x {height} px")],
-            ),
+            true => said(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
             false => assert_eq!(warnings, [""; 0], "{width} x {height}"),
         }
     }

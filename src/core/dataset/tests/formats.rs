@@ -68,10 +68,7 @@ fn byte_order_marks_and_rows_of_three_change_nothing() {
     capture.assert_plain(capture.of("transforms.json", wide(u16::to_be_bytes)));
     capture.assert_plain(capture.of_json(|json| {
         for frame in json["frames"].as_array_mut().unwrap() {
-            frame["transform_matrix"]
-                .as_array_mut()
-                .unwrap()
-                .truncate(3);
+            frame["transform_matrix"].as_array_mut().unwrap().truncate(3);
         }
     }));
 }
@@ -98,10 +95,7 @@ fn scaled_and_rounded_rotations_become_rotations_with_a_warning() {
             assert!((rotation.determinant() - 1.0).abs() < 1e-12);
             assert!(view.camera.centre().distance(camera.centre()) < 1e-9);
         }
-        said(
-            &warnings,
-            &["transforms.json", "transform_matrix", "images/photo0.png"],
-        );
+        said(&warnings, &["transforms.json", "transform_matrix", "images/photo0.png"]);
     }
 }
 
@@ -110,16 +104,8 @@ fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
     let capture = capture();
     type Case = (&'static str, fn(&mut Value), &'static str);
     let cases: [Case; 7] = [
-        (
-            "transform_matrix",
-            |f| f["transform_matrix"][0][0] = json!("NaN"),
-            "NaN",
-        ),
-        (
-            "transform_matrix",
-            |f| f["transform_matrix"] = json!([[1.0]]),
-            "rows of 4",
-        ),
+        ("transform_matrix", |f| f["transform_matrix"][0][0] = json!("NaN"), "NaN"),
+        ("transform_matrix", |f| f["transform_matrix"] = json!([[1.0]]), "rows of 4"),
         (
             "transform_matrix",
             |f| f["transform_matrix"][3] = json!([1.0, 2.0, 3.0, 1.0]),
@@ -130,27 +116,17 @@ fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
             |f| f["transform_matrix"][0] = json!([0.0, 0.0, 0.0, 1.0]),
             "rotation",
         ),
-        (
-            "camera_model",
-            |f| f["camera_model"] = json!("EQUIRECTANGULAR"),
-            "EQUIRECTANGULAR",
-        ),
+        ("camera_model", |f| f["camera_model"] = json!("EQUIRECTANGULAR"), "EQUIRECTANGULAR"),
         ("fl_x", |f| f["fl_x"] = json!("wide"), "not a number"),
         ("k1", |f| f["k1"] = json!("Infinity"), "not a number"),
     ];
     for (field, spoil, words) in cases {
         let (poses, warnings) = capture.of_json(|json| spoil(&mut json["frames"][2]));
         assert_eq!(poses.unwrap().views.len(), 3, "{field}");
-        said(
-            &warnings,
-            &["images/photo2.png: ", &format!("`{field}`"), words],
-        );
+        said(&warnings, &["images/photo2.png: ", &format!("`{field}`"), words]);
     }
     let (poses, warnings) = capture.of_json(|json| {
-        json["frames"][1]
-            .as_object_mut()
-            .unwrap()
-            .remove("file_path");
+        json["frames"][1].as_object_mut().unwrap().remove("file_path");
     });
     assert_eq!(poses.unwrap().views.len(), 3);
     said(&warnings, &["frame 1", "file_path"]);
@@ -166,12 +142,7 @@ fn what_python_writes_for_no_number_costs_its_frame_alone() {
     for no_number in ["NaN", "Infinity", "-Infinity"] {
         let text = text.to_string().replace("\"HERE\"", no_number);
         let (poses, warnings) = capture.of("transforms.json", text);
-        let names: Vec<String> = poses
-            .unwrap()
-            .views
-            .into_iter()
-            .map(|view| view.name)
-            .collect();
+        let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
         said(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
     }
@@ -181,10 +152,7 @@ fn what_python_writes_for_no_number_costs_its_frame_alone() {
 fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
     let capture = capture();
     for (edit, words) in [
-        (
-            json!({ "camera_model": "EQUIRECTANGULAR" }),
-            "`camera_model` is EQUIRECTANGULAR",
-        ),
+        (json!({ "camera_model": "EQUIRECTANGULAR" }), "`camera_model` is EQUIRECTANGULAR"),
         (json!({ "camera_model": "ORTHOPHOTO" }), "ORTHOPHOTO"),
         (json!({ "ftheta_p0": 1.0 }), "ftheta_p0"),
         (json!({ "latlong": true }), "`latlong`"),
@@ -193,10 +161,7 @@ fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
             json!({ "fl_x": null, "camera_angle_x": 60.0 }),
             "`camera_angle_x` is 60, but must be in radians",
         ),
-        (
-            json!({ "distortion_params": [0.1, 0.0] }),
-            "`distortion_params`",
-        ),
+        (json!({ "distortion_params": [0.1, 0.0] }), "`distortion_params`"),
         (json!({ "k5": 0.1 }), "`k5`"),
         (json!({ "h": null }), "`w` without `h`"),
     ] {
@@ -205,10 +170,7 @@ fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
             json.as_object_mut().unwrap().extend(fields);
         });
         let message = poses.unwrap_err().to_string();
-        assert!(
-            message.starts_with("transforms.json: images/photo0.png"),
-            "{message}"
-        );
+        assert!(message.starts_with("transforms.json: images/photo0.png"), "{message}");
         assert!(message.contains(words), "{message}");
     }
     let mirrored = |json: &mut Value| {
@@ -220,10 +182,7 @@ fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
         }
     };
     let message = capture.of_json(mirrored).0.unwrap_err().to_string();
-    assert!(
-        message.contains("`transform_matrix` is a mirror image"),
-        "{message}"
-    );
+    assert!(message.contains("`transform_matrix` is a mirror image"), "{message}");
 }
 
 #[test]
@@ -231,31 +190,13 @@ fn broken_json_is_placed_by_its_frame() {
     let capture = capture();
     let text = transforms(&capture, |_| ()).to_string();
     let cut = text.rfind("transform_matrix").unwrap();
-    let message = capture
-        .of("transforms.json", &text[..cut])
-        .0
-        .unwrap_err()
-        .to_string();
-    assert!(
-        message.contains("cut short") && message.contains("photo3.png"),
-        "{message}"
-    );
+    let message = capture.of("transforms.json", &text[..cut]).0.unwrap_err().to_string();
+    assert!(message.contains("cut short") && message.contains("photo3.png"), "{message}");
     let spoiled = text.replacen("[[", "[[,", 2);
-    let message = capture
-        .of("transforms.json", spoiled)
-        .0
-        .unwrap_err()
-        .to_string();
-    assert!(
-        message.contains("not valid JSON") && message.contains("photo0.png"),
-        "{message}"
-    );
+    let message = capture.of("transforms.json", spoiled).0.unwrap_err().to_string();
+    assert!(message.contains("not valid JSON") && message.contains("photo0.png"), "{message}");
     assert!(!message.contains("column"), "{message}");
-    let message = capture
-        .of("transforms.json", "{}")
-        .0
-        .unwrap_err()
-        .to_string();
+    let message = capture.of("transforms.json", "{}").0.unwrap_err().to_string();
     assert!(message.contains("`frames`"), "{message}");
 }
 
@@ -271,26 +212,14 @@ fn each_frame_has_its_own_camera_model() {
         json["frames"][3]["k2"] = json!(0.01);
     });
     assert_eq!(warnings, [""; 0]);
-    let found: Vec<_> = poses
-        .unwrap()
-        .views
-        .iter()
-        .map(|view| view.lens.distortion)
-        .collect();
+    let found: Vec<_> = poses.unwrap().views.iter().map(|view| view.lens.distortion).collect();
     let perspective = |k1, k2| Distortion::Perspective {
         radial: [k1, k2, 0.0, 0.0, 0.0, 0.0],
         tangential: [0.0; 2],
     };
-    let fisheye = |k1| Distortion::Fisheye {
-        radial: [k1, 0.0, 0.0, 0.0],
-    };
+    let fisheye = |k1| Distortion::Fisheye { radial: [k1, 0.0, 0.0, 0.0] };
     // A perspective's term is none of a fisheye, and a frame's own terms stand together.
-    let expected = [
-        perspective(-0.05, 0.0),
-        fisheye(0.0),
-        fisheye(0.03),
-        perspective(0.0, 0.01),
-    ];
+    let expected = [perspective(-0.05, 0.0), fisheye(0.0), fisheye(0.03), perspective(0.0, 0.01)];
     assert_eq!(found, expected);
 }
 
@@ -302,11 +231,7 @@ fn k4_is_the_fourth_term_of_a_polynomial_or_of_the_angle_or_opencvs() {
             json["camera_model"] = json!(model);
             json["k4"] = json!(-0.2);
         });
-        poses.unwrap().views[0]
-            .lens
-            .distortion
-            .distort(DVec2::new(0.6, 0.0))
-            .x
+        poses.unwrap().views[0].lens.distortion.distort(DVec2::new(0.6, 0.0)).x
     };
     let (r, angle) = (0.6f64, 0.6f64.atan());
     assert!((at("OPENCV") - r * (1.0 - 0.2 * r.powi(8))).abs() < 1e-12);
@@ -329,17 +254,11 @@ fn angles_are_of_width_and_height() {
     let angle = |side: f64, focal: f64| 2.0 * (0.5 * side / focal).atan();
     // At 40 x 30 px.
     let near = |(fx, fy): (f64, f64), expected: (f64, f64)| {
-        assert!(
-            (fx - expected.0).abs() < 1e-9 && (fy - expected.1).abs() < 1e-9,
-            "{fx} {fy}"
-        );
+        assert!((fx - expected.0).abs() < 1e-9 && (fy - expected.1).abs() < 1e-9, "{fx} {fy}");
     };
     let (x, y) = (angle(80.0, 70.0), angle(60.0, 72.0));
     near(focal(json!({ "camera_angle_x": x })), (35.0, 35.0));
-    near(
-        focal(json!({ "camera_angle_x": x, "camera_angle_y": y })),
-        (35.0, 36.0),
-    );
+    near(focal(json!({ "camera_angle_x": x, "camera_angle_y": y })), (35.0, 36.0));
     near(focal(json!({ "camera_angle_y": y })), (36.0, 36.0));
     let degrees = json!({ "x_fov": x.to_degrees(), "y_fov": y.to_degrees() });
     near(focal(degrees), (35.0, 36.0));
@@ -421,11 +340,7 @@ fn axes_of_mitsuba_and_opencv_are_read_where_a_file_says_so() {
 #[test]
 fn the_matrix_of_neus2_tells_focal_lengths_and_principal_point() {
     let capture = capture();
-    let matrix = json!([
-        [70.0, 0.0, 40.0, 0.0],
-        [0.0, 70.0, 30.0, 0.0],
-        [0.0, 0.0, 1.0, 0.0]
-    ]);
+    let matrix = json!([[70.0, 0.0, 40.0, 0.0], [0.0, 70.0, 30.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
     let with = |matrix: &Value| {
         capture.of_json(|json| {
             json.as_object_mut().unwrap().remove("fl_x");
@@ -471,12 +386,7 @@ fn names_may_hold_dots_and_lack_an_extension() {
     let views: Vec<PoseView> = dotted.collect();
     for name in ["images/scan.{}", "./scan.{}.jpg"] {
         let json = transforms(&capture, |json| {
-            for (i, frame) in json["frames"]
-                .as_array_mut()
-                .unwrap()
-                .iter_mut()
-                .enumerate()
-            {
+            for (i, frame) in json["frames"].as_array_mut().unwrap().iter_mut().enumerate() {
                 frame["file_path"] = json!(name.replace("{}", &i.to_string()));
             }
         });
@@ -528,55 +438,33 @@ fn models_without_points_key_points_or_with_byte_order_marks_are_read() {
 #[test]
 fn images_with_nan_are_left_out_by_name() {
     let capture = capture();
-    for (pose, keypoints) in [
-        ("nan nan nan nan 0 0 4", "\n"),
-        ("1 0 0 0 -nan(ind) 0 4", ""),
-        ("0 0 0 0 1 2 3", "\n"),
-    ] {
+    for (pose, keypoints) in
+        [("nan nan nan nan 0 0 4", "\n"), ("1 0 0 0 -nan(ind) 0 4", ""), ("0 0 0 0 1 2 3", "\n")]
+    {
         let images = images(&capture, Some(pose), keypoints);
         let (poses, warnings) = capture.of_model(CAMERAS, &images);
-        let names: Vec<String> = poses
-            .unwrap()
-            .views
-            .into_iter()
-            .map(|view| view.name)
-            .collect();
+        let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
         said(&warnings, &["sparse/0", "photo1.png"]);
     }
-    let (poses, _) = capture.of_model(
-        "1 PINHOLE 80 60 nan 70 40 30\n",
-        &images(&capture, None, ""),
-    );
+    let (poses, _) =
+        capture.of_model("1 PINHOLE 80 60 nan 70 40 30\n", &images(&capture, None, ""));
     let message = poses.unwrap_err().to_string();
-    assert!(
-        message.starts_with("sparse/0: ") && message.contains("camera 1"),
-        "{message}"
-    );
+    assert!(message.starts_with("sparse/0: ") && message.contains("camera 1"), "{message}");
 }
 
 #[test]
 fn what_stands_where_key_points_are_expected_is_said() {
     let capture = capture();
     let images = images(&capture, None, "some words here\n");
-    let message = capture
-        .of_model(CAMERAS, &images)
-        .0
-        .unwrap_err()
-        .to_string();
-    assert!(
-        message.contains("line 2") && message.contains("key points"),
-        "{message}"
-    );
+    let message = capture.of_model(CAMERAS, &images).0.unwrap_err().to_string();
+    assert!(message.contains("line 2") && message.contains("key points"), "{message}");
 }
 
 #[test]
 fn equidistant_fisheyes_of_newer_versions_are_read() {
     let capture = capture();
-    for camera in [
-        "1 SIMPLE_FISHEYE 80 60 70 40 30\n",
-        "1 FISHEYE 80 60 70 70 40 30\n",
-    ] {
+    for camera in ["1 SIMPLE_FISHEYE 80 60 70 40 30\n", "1 FISHEYE 80 60 70 70 40 30\n"] {
         let (poses, _) = capture.of_model(camera, &images(&capture, None, "\n"));
         let lens = poses.unwrap().views[0].lens;
         assert_eq!(lens.distortion, Distortion::Fisheye { radial: [0.0; 4] });
@@ -590,9 +478,7 @@ fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
     let known = ModelCamera::pinhole(1, &capture.cameras[0].intrinsics);
     let strange = "2 FOV 80 60 70 70 40 30 0.9\n";
     let mut model = SparseModel::of_views(
-        (0..)
-            .map(|i| format!("photo{i}.png"))
-            .zip(capture.cameras.iter().copied()),
+        (0..).map(|i| format!("photo{i}.png")).zip(capture.cameras.iter().copied()),
         [],
     );
     model.images[1].camera_id = 2;
@@ -619,20 +505,12 @@ fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
 fn the_pointer_of_git_lfs_is_called_so() {
     let capture = capture();
     let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
-    for (name, file) in [
-        ("transforms.json", ""),
-        ("b/cameras.bin", "b"),
-        ("t/cameras.txt", "t"),
-    ] {
+    for (name, file) in [("transforms.json", ""), ("b/cameras.bin", "b"), ("t/cameras.txt", "t")] {
         let path = capture.dir.path().join(name);
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
         std::fs::write(&path, pointer).unwrap();
         std::fs::write(path.with_file_name("images.bin"), pointer).unwrap();
-        let file = if file.is_empty() {
-            path
-        } else {
-            capture.dir.path().join(file)
-        };
+        let file = if file.is_empty() { path } else { capture.dir.path().join(file) };
         let (poses, _) = told(&file, &capture.views, capture.dir.path());
         let message = poses.unwrap_err().to_string();
         assert!(message.contains("Git LFS"), "{message}");
@@ -648,23 +526,14 @@ fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
     std::fs::write(&file, npy("<f4", "(4, 17)", narrow)).unwrap();
     let (poses, _) = told(&file, &capture.views, capture.dir.path());
     for (view, camera) in poses.unwrap().views.iter().zip(&capture.cameras) {
-        assert!(
-            view.camera
-                .world_to_camera
-                .abs_diff_eq(camera.world_to_camera, 1e-5)
-        );
+        assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-5));
         assert!((view.lens.intrinsics.fx - 35.0).abs() < 1e-5);
     }
     let mut spoiled = table;
     spoiled.values[17 + 3] = f64::NAN;
     std::fs::write(&file, spoiled.to_bytes()).unwrap();
     let (poses, warnings) = told(&file, &capture.views, capture.dir.path());
-    let names: Vec<String> = poses
-        .unwrap()
-        .views
-        .into_iter()
-        .map(|view| view.name)
-        .collect();
+    let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
     assert_eq!(names, ["photo0", "photo2", "photo3"]);
     said(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
     for (number, shape, reason) in [
@@ -693,12 +562,7 @@ fn depths_that_cannot_be_cost_no_pose() {
     let capture = capture();
     let file = capture.write_bounds();
     let table = Table::parse(&std::fs::read(&file).unwrap()).unwrap();
-    for (near, far) in [
-        (0.0, 8.0),
-        (-1.0, 8.0),
-        (2.0, f64::INFINITY),
-        (f64::NAN, f64::NAN),
-    ] {
+    for (near, far) in [(0.0, 8.0), (-1.0, 8.0), (2.0, f64::INFINITY), (f64::NAN, f64::NAN)] {
         let mut table = table.clone();
         (table.values[17 + 15], table.values[17 + 16]) = (near, far);
         std::fs::write(&file, table.to_bytes()).unwrap();

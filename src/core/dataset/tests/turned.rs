@@ -38,9 +38,7 @@ fn write_png(file: &Path, orientation: u16, (width, height): (usize, usize), sam
     let exif = exif_block(&[(Tag::Orientation, Value::Short(vec![orientation]))]);
     encoder.set_exif_metadata(exif).unwrap();
     let (width, height) = (width as u32, height as u32);
-    encoder
-        .write_image(samples, width, height, ExtendedColorType::L8)
-        .unwrap();
+    encoder.write_image(samples, width, height, ExtendedColorType::L8).unwrap();
     std::fs::write(file, bytes).unwrap();
 }
 
@@ -65,12 +63,7 @@ impl Stored {
             let file = dir.path().join(format!("{name}.png"));
             let orientation = orientations[index % orientations.len()];
             write_png(&file, orientation, size, &vec![90; size.0 * size.1]);
-            PoseView {
-                path: PhotoPath::new(&format!("{name}.png")),
-                name,
-                file,
-                focal_px: None,
-            }
+            PoseView { path: PhotoPath::new(&format!("{name}.png")), name, file, focal_px: None }
         };
         let pose = |index: usize| {
             let eye = DVec3::new(index as f64 - 1.5, 0.3 * index as f64, -4.0);
@@ -98,10 +91,7 @@ impl Stored {
             Format::PosesBounds => {
                 let file = self.dir.path().join("poses_bounds.npy");
                 let row = |pose: &DMat4| BoundedCamera {
-                    camera: Camera {
-                        intrinsics: self.lens.intrinsics,
-                        world_to_camera: *pose,
-                    },
+                    camera: Camera { intrinsics: self.lens.intrinsics, world_to_camera: *pose },
                     near: 2.0,
                     far: 8.0,
                 };
@@ -113,10 +103,8 @@ impl Stored {
     }
 
     fn write_model(&self) -> PathBuf {
-        let camera = |pose: &DMat4| Camera {
-            intrinsics: self.lens.intrinsics,
-            world_to_camera: *pose,
-        };
+        let camera =
+            |pose: &DMat4| Camera { intrinsics: self.lens.intrinsics, world_to_camera: *pose };
         let image = |(id, pose): (u32, &DMat4)| {
             ModelImage::posed(id, 1, format!("photo{id}.png"), &camera(pose))
         };
@@ -172,10 +160,7 @@ impl Stored {
         let mut worst = 0.0f64;
         for (view, pose) in poses.views.iter().zip(&self.poses) {
             let found = view.camera.world_to_camera;
-            assert!(
-                (found.determinant() - 1.0).abs() < 1e-9,
-                "a left-handed camera"
-            );
+            assert!((found.determinant() - 1.0).abs() < 1e-9, "a left-handed camera");
             for (index, point) in self.points.iter().enumerate() {
                 let stored = pose.transform_point3(*point);
                 let pixel = self.lens.pixel(stored.truncate() / stored.z) * scale;
@@ -196,11 +181,7 @@ impl Stored {
 }
 
 fn format() -> impl Strategy<Value = Format> {
-    prop_oneof![
-        Just(Format::Model),
-        Just(Format::Transforms),
-        Just(Format::PosesBounds)
-    ]
+    prop_oneof![Just(Format::Model), Just(Format::Transforms), Just(Format::PosesBounds)]
 }
 
 /// A lens that each format can tell, of a picture that is not square.
@@ -258,14 +239,7 @@ proptest! {
 /// A lens of 96 x 72 px without distortion.
 fn plain() -> Lens {
     Lens {
-        intrinsics: Intrinsics {
-            width: 96,
-            height: 72,
-            fx: 90.0,
-            fy: 92.0,
-            cx: 50.0,
-            cy: 33.0,
-        },
+        intrinsics: Intrinsics { width: 96, height: 72, fx: 90.0, fy: 92.0, cx: 50.0, cy: 33.0 },
         distortion: Distortion::None,
     }
 }
@@ -280,18 +254,10 @@ fn a_dot_of_each_orientation_is_seen_where_its_point_is_projected() {
         write_png(&stored.views[0].file, orientation, (96, 72), &samples);
         let poses = stored.read(Format::Transforms).0.unwrap();
         let camera = poses.views[0].camera;
-        let mirrored = DVec3::new(
-            if camera_is_mirrored(orientation) {
-                -1.0
-            } else {
-                1.0
-            },
-            1.0,
-            1.0,
-        );
-        let point = stored.poses[0]
-            .inverse()
-            .transform_point3(3.0 * stored.lens.ray(dot).extend(1.0));
+        let mirrored =
+            DVec3::new(if camera_is_mirrored(orientation) { -1.0 } else { 1.0 }, 1.0, 1.0);
+        let point =
+            stored.poses[0].inverse().transform_point3(3.0 * stored.lens.ray(dot).extend(1.0));
         let (pixel, depth) = camera.project(point * mirrored).unwrap();
         assert!((depth - 3.0).abs() < 1e-9);
         let upright = Image::load(&stored.views[0].file).unwrap();
@@ -302,10 +268,7 @@ fn a_dot_of_each_orientation_is_seen_where_its_point_is_projected() {
             (brightest % upright.width()) as f64 + 0.5,
             (brightest / upright.width()) as f64 + 0.5,
         );
-        assert!(
-            pixel.distance(at) < 1e-6,
-            "orientation {orientation}: {pixel}, not {at}"
-        );
+        assert!(pixel.distance(at) < 1e-6, "orientation {orientation}: {pixel}, not {at}");
         assert_eq!(
             (camera.intrinsics.width, camera.intrinsics.height),
             (upright.width(), upright.height())
@@ -332,9 +295,7 @@ fn what_the_sizes_do_not_tell_is_said() {
     for (orientation, is_assumed) in [(1, false), (2, true), (3, true), (4, true), (8, false)] {
         let stored = Stored::new(plain(), (96, 72), &[orientation]);
         let warnings = stored.read(Format::Model).1;
-        let said = warnings
-            .iter()
-            .any(|warning| warning.contains("as they are stored"));
+        let said = warnings.iter().any(|warning| warning.contains("as they are stored"));
         assert_eq!(said, is_assumed, "{orientation}: {warnings:?}");
     }
 }
@@ -349,10 +310,7 @@ fn poses_of_pictures_that_were_turned_before_are_taken_as_they_are() {
         let poses = upright.read(format).0.unwrap();
         for (view, pose) in poses.views.iter().zip(&upright.poses) {
             assert!(view.camera.world_to_camera.abs_diff_eq(*pose, 1e-9));
-            assert_eq!(
-                (view.lens.intrinsics.width, view.lens.intrinsics.height),
-                (96, 72)
-            );
+            assert_eq!((view.lens.intrinsics.width, view.lens.intrinsics.height), (96, 72));
         }
     }
 }
@@ -370,10 +328,7 @@ fn photographs_of_another_shape_than_their_poses_are_refused_with_both_sizes() {
         let message = stored.read(Format::Model).0.unwrap_err().to_string();
         assert!(message.contains("96 x 72 px"), "{message}");
         assert!(message.contains(words), "{message}");
-        assert!(
-            message.contains("photo0.png, photo1.png, photo2.png, photo3.png: "),
-            "{message}"
-        );
+        assert!(message.contains("photo0.png, photo1.png, photo2.png, photo3.png: "), "{message}");
     }
 }
 

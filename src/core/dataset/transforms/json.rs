@@ -34,21 +34,16 @@ pub(super) fn read(file: &Path) -> Result<Object, PosesError> {
 /// Where the text stops being JSON, in terms of what its author knows.
 fn place(text: &str, error: &serde_json::Error) -> String {
     let lines = text.split_inclusive('\n');
-    let before: usize = lines
-        .take(error.line().saturating_sub(1))
-        .map(str::len)
-        .sum();
+    let before: usize = lines.take(error.line().saturating_sub(1)).map(str::len).sum();
     let mut end = (before + error.column()).min(text.len());
     while !text.is_char_boundary(end) {
         end -= 1;
     }
-    let last = text[..end]
-        .rsplit_once("\"file_path\"")
-        .and_then(|(_, rest)| {
-            let mut parts = rest.split('"');
-            parts.next()?;
-            parts.next()
-        });
+    let last = text[..end].rsplit_once("\"file_path\"").and_then(|(_, rest)| {
+        let mut parts = rest.split('"');
+        parts.next()?;
+        parts.next()
+    });
     match last {
         Some(name) => format!("in or after the frame {name} (line {})", error.line()),
         None => format!("before its first frame (line {})", error.line()),
@@ -60,9 +55,7 @@ fn with_quoted_numbers(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let (mut rest, mut in_string) = (text, false);
     while let Some(c) = rest.chars().next() {
-        let word = NO_NUMBERS
-            .iter()
-            .find(|word| !in_string && rest.starts_with(**word));
+        let word = NO_NUMBERS.iter().find(|word| !in_string && rest.starts_with(**word));
         let length = match (word, c) {
             (Some(word), _) => {
                 out.push('"');
@@ -147,9 +140,7 @@ impl<'a> Fields<'a> {
             return Ok(None);
         };
         let number = number(value).filter(|number| number.is_finite());
-        number
-            .map(Some)
-            .ok_or_else(|| format!("`{key}` is {value} and not a number"))
+        number.map(Some).ok_or_else(|| format!("`{key}` is {value} and not a number"))
     }
 
     /// Some numbers, 0 where they are not told.

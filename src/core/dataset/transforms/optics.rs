@@ -9,14 +9,7 @@ use crate::dataset::given_view::{Focal, GivenLens};
 use crate::poses::Distortion;
 
 /// Fields that tell the focal length.
-const FOCAL: [&str; 6] = [
-    "fl_x",
-    "fl_y",
-    "camera_angle_x",
-    "camera_angle_y",
-    "x_fov",
-    "y_fov",
-];
+const FOCAL: [&str; 6] = ["fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov"];
 
 /// Fields that tell the distortion.
 const TERMS: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
@@ -65,15 +58,11 @@ pub(super) fn lens(fields: &Fields<'_>) -> Result<GivenLens, String> {
             (focal, [centre("cx", 0)?, centre("cy", 1)?])
         }
     };
-    let of_photograph = GivenLens::OfPhotograph {
-        focal,
-        centre,
-        distortion,
-    };
+    let of_photograph = GivenLens::OfPhotograph { focal, centre, distortion };
     Ok(match size {
-        Some([width, height]) => of_photograph
-            .at(width.round() as usize, height.round() as usize)
-            .into(),
+        Some([width, height]) => {
+            of_photograph.at(width.round() as usize, height.round() as usize).into()
+        }
         None => of_photograph,
     })
 }
@@ -130,10 +119,7 @@ fn focal(fields: &Fields<'_>) -> Result<Focal, String> {
         let in_degrees = positive(degrees, 180.0, "in degrees, between 0 and 180")?;
         Ok::<_, String>(told.or(in_degrees.map(f64::to_radians)))
     };
-    let angles = (
-        angle("camera_angle_x", "x_fov")?,
-        angle("camera_angle_y", "y_fov")?,
-    );
+    let angles = (angle("camera_angle_x", "x_fov")?, angle("camera_angle_y", "y_fov")?);
     match ((pixels("fl_x")?, pixels("fl_y")?), angles) {
         ((Some(fx), fy), _) => Ok(Focal::Pixels([fx, fy.unwrap_or(fx)])),
         ((None, Some(fy)), _) => Ok(Focal::Pixels([fy, fy])),
@@ -145,9 +131,7 @@ fn focal(fields: &Fields<'_>) -> Result<Focal, String> {
 /// The projection of a frame, by its own `camera_model` or else the file's.
 fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
     if let Some(key) = UNREAD.iter().find(|key| fields.is_set(key)) {
-        return Err(format!(
-            "`{key}` is of a lens that is not read: {INSTEAD} of it"
-        ));
+        return Err(format!("`{key}` is of a lens that is not read: {INSTEAD} of it"));
     }
     let model = fields.get("camera_model");
     let name = model.map_or(Some(""), Value::as_str).unwrap_or("?");
@@ -159,9 +143,7 @@ fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
         "OPENCV_FISHEYE" | "RADIAL_FISHEYE" | "SIMPLE_RADIAL_FISHEYE" | "FISHEYE" => {
             Ok(Projection::Fisheye)
         }
-        _ => Err(format!(
-            "`camera_model` is {name}, which is not read: {INSTEAD} of it"
-        )),
+        _ => Err(format!("`camera_model` is {name}, which is not read: {INSTEAD} of it")),
     }
 }
 
@@ -184,9 +166,7 @@ fn terms(fields: &Fields<'_>, projection: Projection) -> Result<[f64; 8], String
     };
     match list.as_array().and_then(numbers).as_deref() {
         Some(&[k1, k2, k3, k4, p1, p2]) => Ok([k1, k2, k3, k4, 0.0, 0.0, p1, p2]),
-        _ => Err(format!(
-            "`{LIST}` is not of 6 numbers: k1, k2, k3, k4, p1, p2"
-        )),
+        _ => Err(format!("`{LIST}` is not of 6 numbers: k1, k2, k3, k4, p1, p2")),
     }
 }
 
@@ -198,21 +178,16 @@ fn distortion(fields: &Fields<'_>) -> Result<Distortion, String> {
     }
     let tangential = [p1, p2];
     Ok(match projection {
-        Projection::Fisheye => Distortion::Fisheye {
-            radial: [k1, k2, k3, k4],
-        },
-        Projection::Polynomial if k4 != 0.0 => Distortion::Polynomial {
-            radial: [k1, k2, k3, k4],
-            tangential,
-        },
-        Projection::Polynomial => Distortion::Perspective {
-            radial: [k1, k2, k3, 0.0, 0.0, 0.0],
-            tangential,
-        },
-        Projection::Rational => Distortion::Perspective {
-            radial: [k1, k2, k3, k4, k5, k6],
-            tangential,
-        },
+        Projection::Fisheye => Distortion::Fisheye { radial: [k1, k2, k3, k4] },
+        Projection::Polynomial if k4 != 0.0 => {
+            Distortion::Polynomial { radial: [k1, k2, k3, k4], tangential }
+        }
+        Projection::Polynomial => {
+            Distortion::Perspective { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential }
+        }
+        Projection::Rational => {
+            Distortion::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential }
+        }
     })
 }
 

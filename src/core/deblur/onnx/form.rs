@@ -32,14 +32,10 @@ impl Form {
 fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
     let is_picture =
         |output: &Outlet| image_shape(output.dtype()).is_ok_and(|shape| matches!(shape[1], 3 | -1));
-    let pictures: Vec<usize> = (0..outputs.len())
-        .filter(|&at| is_picture(&outputs[at]))
-        .collect();
+    let pictures: Vec<usize> = (0..outputs.len()).filter(|&at| is_picture(&outputs[at])).collect();
     if let [_, _, ..] = pictures[..] {
-        let names: Vec<_> = pictures
-            .iter()
-            .map(|&at| format!("`{}`", outputs[at].name()))
-            .collect();
+        let names: Vec<_> =
+            pictures.iter().map(|&at| format!("`{}`", outputs[at].name())).collect();
         return Err(format!(
             "each of its outputs {} could be the restored view; keep only one of them in the file",
             names.join(", ")
@@ -54,16 +50,10 @@ fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
     let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
     let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;
     if !matches!(output_shape[1], 3 | -1) {
-        return Err(format!(
-            "it returns {} channels instead of 3",
-            output_shape[1]
-        ));
+        return Err(format!("it returns {} channels instead of 3", output_shape[1]));
     }
     if input_shape[2..] != [-1, -1] {
-        return Err(format!(
-            "it takes only images of {}x{} px",
-            input_shape[3], input_shape[2]
-        ));
+        return Err(format!("it takes only images of {}x{} px", input_shape[3], input_shape[2]));
     }
     match input_shape[1] {
         -1 => Err("the file does not say how many channels it takes".to_owned()),
@@ -77,13 +67,9 @@ fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
 /// Batch, channels, height, width; -1 is dynamic.
 fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
     match value {
-        ValueType::Tensor {
-            ty: TensorElementType::Float32,
-            shape,
-            ..
-        } => shape[..]
-            .try_into()
-            .map_err(|_| format!("has {} dimensions instead of 4", shape.len())),
+        ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
+            shape[..].try_into().map_err(|_| format!("has {} dimensions instead of 4", shape.len()))
+        }
         other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
     }
 }

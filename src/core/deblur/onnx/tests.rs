@@ -5,9 +5,7 @@ use crate::deblur::{NetworkChoice, OpenOptions, open};
 use crate::inference::runtime;
 
 fn file(name: &str) -> String {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../tests/golden/onnx")
-        .join(name);
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/onnx").join(name);
     path.display().to_string()
 }
 
@@ -34,11 +32,7 @@ fn waves(width: usize, height: usize, phase: f32) -> Image {
 }
 
 fn worst(a: &Image, b: &Image) -> f32 {
-    a.data()
-        .iter()
-        .zip(b.data())
-        .map(|(a, b)| (a - b).abs())
-        .fold(0.0, f32::max)
+    a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
 }
 
 #[test]
@@ -59,19 +53,11 @@ fn without_a_guide_the_view_is_its_own_guide() {
     let mut network = network(&file("mix6.onnx")).expect("loads");
     let (view, guide) = (waves(48, 32, 0.0), waves(48, 32, 2.0));
     let guided = network.restore(&view, Some(&guide)).expect("runs");
-    let values = view
-        .data()
-        .iter()
-        .zip(guide.data())
-        .map(|(v, g)| 0.75 * v + 0.25 * g)
-        .collect();
+    let values = view.data().iter().zip(guide.data()).map(|(v, g)| 0.75 * v + 0.25 * g).collect();
     let expected = Image::from_planar(48, 32, values);
     assert!(worst(&guided, &expected) < 1e-6);
     assert!(
-        worst(
-            &guided,
-            &network.restore(&guide, Some(&view)).expect("runs")
-        ) > 0.1,
+        worst(&guided, &network.restore(&guide, Some(&view)).expect("runs")) > 0.1,
         "order matters"
     );
     assert!(worst(&network.restore(&view, None).expect("runs"), &view) < 1e-6);
@@ -90,12 +76,7 @@ fn a_view_in_tiles_shows_no_seams() {
     let view = waves(1696, 896, 0.0);
     assert!(tiling::plan(1696, 896).len() > 1);
     let tiled = network.restore(&view, None).expect("runs");
-    let whole = Tile {
-        x: 0,
-        y: 0,
-        width: 1696,
-        height: 896,
-    };
+    let whole = Tile { x: 0, y: 0, width: 1696, height: 896 };
     let output = network.run(&view, None, whole).expect("runs");
     let mut seamless = Join::new(1696, 896);
     seamless.add(whole, &output.values, output.width, output.height);
@@ -127,17 +108,11 @@ fn unfit_networks_are_refused_with_the_reason() {
         ("two_outputs3.onnx", "`coarse`, `restored` could be"),
     ] {
         let refused = network(&file(name)).err().expect("refused").to_string();
-        assert!(
-            refused.contains(name) && refused.contains(reason),
-            "{refused}"
-        );
+        assert!(refused.contains(name) && refused.contains(reason), "{refused}");
     }
     let text = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
     let refused = network(text).err().expect("no network");
-    assert!(
-        matches!(refused, DeblurError::ModelUnusable { .. }),
-        "{refused}"
-    );
+    assert!(matches!(refused, DeblurError::ModelUnusable { .. }), "{refused}");
 }
 
 #[test]
@@ -145,10 +120,7 @@ fn the_self_test_finds_sizes_that_do_not_fit() {
     // The 64 px of the golden image fit; 80 do not.
     let refused = network(&file("blocks32.onnx")).err().expect("refused");
     assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
-    assert!(
-        refused.to_string().contains("80x96 px do not fit it"),
-        "{refused}"
-    );
+    assert!(refused.to_string().contains("80x96 px do not fit it"), "{refused}");
 }
 
 #[test]
@@ -167,36 +139,16 @@ fn the_default_network_is_deterministic_and_keeps_clean_views() {
     let view = waves(90, 70, 0.0);
     let restored = first.restore(&view, None).expect("runs");
     assert_eq!(restored, second.restore(&view, None).expect("runs"));
-    assert!(
-        restored
-            .data()
-            .iter()
-            .all(|value| (0.0..=1.0).contains(value))
-    );
-    let mean = restored
-        .data()
-        .iter()
-        .zip(view.data())
-        .map(|(a, b)| (a - b).abs())
-        .sum::<f32>()
+    assert!(restored.data().iter().all(|value| (0.0..=1.0).contains(value)));
+    let mean = restored.data().iter().zip(view.data()).map(|(a, b)| (a - b).abs()).sum::<f32>()
         / view.data().len() as f32;
-    assert!(
-        mean < 0.05,
-        "a sharp, clean view came back {mean} away in the mean"
-    );
+    assert!(mean < 0.05, "a sharp, clean view came back {mean} away in the mean");
 }
 
 #[test]
 fn a_network_without_guide_channels_reports_it() {
-    let search = [PathBuf::from(concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../.onnxruntime"
-    ))];
-    let options = OpenOptions {
-        search: &search,
-        threads: 1,
-        ..OpenOptions::default()
-    };
+    let search = [PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../.onnxruntime"))];
+    let options = OpenOptions { search: &search, threads: 1, ..OpenOptions::default() };
     let mut opened = open(&named("identity3.onnx"), &options).expect("opens");
     assert_eq!(opened.fallbacks.len(), 1, "{:?}", opened.fallbacks);
     let (view, guide) = (waves(20, 20, 0.0), waves(20, 20, 1.0));
@@ -221,17 +173,10 @@ fn the_built_in_network_reproduces_its_golden_output() {
     // PyTorch and ONNX Runtime on another processor agree far better than the self-test requires.
     assert!(known.difference(network.golden().expect("runs").values()) < 1e-4);
     let swapped = Golden::new(golden::view().data().to_vec()).expect("of the right size");
-    let wrong = Model {
-        golden: Some(swapped),
-        ..model
-    };
-    let refused = Onnx::load_on(&runtime, &wrong, Provider::Cpu, 1)
-        .err()
-        .expect("another output is known");
-    assert!(
-        refused.to_string().contains("on cpu its output is off by"),
-        "{refused}"
-    );
+    let wrong = Model { golden: Some(swapped), ..model };
+    let refused =
+        Onnx::load_on(&runtime, &wrong, Provider::Cpu, 1).err().expect("another output is known");
+    assert!(refused.to_string().contains("on cpu its output is off by"), "{refused}");
 }
 
 #[test]
@@ -248,9 +193,5 @@ fn broken_cuda_is_reported_and_the_cpu_is_used() {
     std::fs::write(folder.path().join(runtime::CUDA_LIBRARY), "not a library").expect("write");
     let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(network.describe().provider, "cpu");
-    assert!(
-        said.as_deref()
-            .is_some_and(|text| text.contains("CUDA cannot be used")),
-        "{said:?}"
-    );
+    assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
 }

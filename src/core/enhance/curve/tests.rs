@@ -1,10 +1,7 @@
 use super::*;
 use proptest::prelude::*;
 
-const ANCHOR: Anchor = Anchor::Equalised {
-    alpha: 10.0,
-    gamma: 0.8,
-};
+const ANCHOR: Anchor = Anchor::Equalised { alpha: 10.0, gamma: 0.8 };
 
 /// The grey picture of tests/golden/clahe.py: a linear congruence, squared twice to be dark, then
 /// one pixel of each value.
@@ -16,10 +13,7 @@ fn golden_values() -> Vec<u8> {
         let squared = (uniform * uniform) >> 16;
         ((((u64::from(squared) * u64::from(squared)) >> 16) * 200) >> 16) as u8
     });
-    dark.collect::<Vec<_>>()
-        .into_iter()
-        .chain(0..=255)
-        .collect()
+    dark.collect::<Vec<_>>().into_iter().chain(0..=255).collect()
 }
 
 /// The same table in integers, as OpenCV computes it: the excess is spread in whole counts, the
@@ -30,15 +24,10 @@ fn integer_table(values: &[u8], alpha: f64) -> [u8; BINS] {
     let total = values.len() as i64;
     let limit = ((alpha * total as f64 / BINS as f64) as i64).max(1);
     let excess: i64 = counts.iter().map(|c| (c - limit).max(0)).sum();
-    counts
-        .iter_mut()
-        .for_each(|c| *c = (*c).min(limit) + excess / BINS as i64);
+    counts.iter_mut().for_each(|c| *c = (*c).min(limit) + excess / BINS as i64);
     let remainder = (excess % BINS as i64) as usize;
     if let Some(step) = BINS.checked_div(remainder) {
-        (0..BINS)
-            .step_by(step)
-            .take(remainder)
-            .for_each(|k| counts[k] += 1);
+        (0..BINS).step_by(step).take(remainder).for_each(|k| counts[k] += 1);
     }
     let scale = 255.0_f32 / total as f32;
     let mut sum = 0;
@@ -53,23 +42,15 @@ fn the_integer_table_is_opencvs_and_the_float_table_close() {
     let golden: serde_json::Value =
         serde_json::from_str(include_str!("../../../../tests/golden/clahe.json")).expect("JSON");
     let values = golden_values();
-    let data: Vec<f32> = (0..3)
-        .flat_map(|_| values.iter().map(|&v| f32::from(v) / 255.0))
-        .collect();
+    let data: Vec<f32> =
+        (0..3).flat_map(|_| values.iter().map(|&v| f32::from(v) / 255.0)).collect();
     let histogram = Histogram::of(&Image::from_planar(64, 48, data));
     for (name, expected) in golden.as_object().expect("one table an alpha") {
         let alpha: f64 = name.parse().expect("a number");
         let expected: Vec<u8> = serde_json::from_value(expected.clone()).expect("256 numbers");
-        assert_eq!(
-            integer_table(&values, alpha).as_slice(),
-            expected,
-            "alpha {alpha}"
-        );
+        assert_eq!(integer_table(&values, alpha).as_slice(), expected, "alpha {alpha}");
         let float = histogram.equalisation(alpha).expect("a table");
-        let worst = float
-            .iter()
-            .zip(&expected)
-            .map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
+        let worst = float.iter().zip(&expected).map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
         // The error of whole counts: half a step, the limit's fraction in each bin, and up to 64
         // counts of the remainder that come early (r - r^2 / 256 at r = 128).
         let limit = (alpha * values.len() as f64 / BINS as f64).max(1.0);
@@ -103,23 +84,13 @@ fn the_curve_matches_that_of_the_networks_training() {
     let histogram = Histogram::of(&photograph);
     for curve in golden["curves"].as_array().expect("a list") {
         let number = |key: &str| curve[key].as_f64().expect("a number");
-        let anchor = Anchor::Equalised {
-            alpha: number("alpha"),
-            gamma: number("gamma"),
-        };
+        let anchor = Anchor::Equalised { alpha: number("alpha"), gamma: number("gamma") };
         let values: Vec<f32> = serde_json::from_value(curve["values"].clone()).expect("numbers");
         let bright = ToneCurve::new(&histogram, anchor).apply(&photograph);
         for (pixel, expected) in values.chunks_exact(3).enumerate() {
             let found = bright.get(pixel % 16, pixel / 16);
-            let apart = found
-                .iter()
-                .zip(expected)
-                .map(|(a, b)| (a - b).abs())
-                .fold(0.0, f32::max);
-            assert!(
-                apart <= 1e-6,
-                "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}"
-            );
+            let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(apart <= 1e-6, "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}");
         }
     }
     let expected: [f64; 2] =
@@ -161,13 +132,8 @@ fn an_exposure_is_a_gain_that_bends_only_before_white() {
 #[test]
 fn hue_and_saturation_survive_the_equalisation() {
     let image = Image::from_planar(2, 1, vec![0.1, 0.02, 0.05, 0.01, 0.025, 0.015]);
-    let curve = ToneCurve::new(
-        &Histogram::of(&image),
-        Anchor::Equalised {
-            alpha: 10.0,
-            gamma: 1.0,
-        },
-    );
+    let curve =
+        ToneCurve::new(&Histogram::of(&image), Anchor::Equalised { alpha: 10.0, gamma: 1.0 });
     let [r, g, b] = curve.apply_colour([0.1, 0.05, 0.025]);
     assert!(r > 0.2 && (g / r - 0.5).abs() < 1e-5 && (b / r - 0.25).abs() < 1e-5);
 }
@@ -175,13 +141,8 @@ fn hue_and_saturation_survive_the_equalisation() {
 #[test]
 fn alpha_zero_leaves_the_exponent_alone() {
     let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-    let curve = ToneCurve::new(
-        &Histogram::of(&image),
-        Anchor::Equalised {
-            alpha: 0.0,
-            gamma: 0.5,
-        },
-    );
+    let curve =
+        ToneCurve::new(&Histogram::of(&image), Anchor::Equalised { alpha: 0.0, gamma: 0.5 });
     let colour = curve.apply_colour([0.25, 0.5, 0.04]);
     assert!((colour[0] - 0.5).abs() < 1e-6 && (colour[2] - 0.2).abs() < 1e-6);
 }
@@ -192,12 +153,7 @@ fn black_and_nan_images_stay_finite() {
         let image = Image::from_planar(2, 2, data);
         let curve = ToneCurve::new(&Histogram::of(&image), ANCHOR);
         assert!(curve.apply_colour([0.0; 3]).iter().all(|v| v.is_finite()));
-        assert!(
-            curve
-                .apply_colour([0.3, 0.2, 0.1])
-                .iter()
-                .all(|v| v.is_finite())
-        );
+        assert!(curve.apply_colour([0.3, 0.2, 0.1]).iter().all(|v| v.is_finite()));
     }
     let nothing = ToneCurve::new(&Histogram::pooled([]), ANCHOR);
     assert!(nothing.apply_colour([0.3, 0.2, 0.1])[0].is_finite());
@@ -206,18 +162,9 @@ fn black_and_nan_images_stay_finite() {
 #[test]
 fn the_slope_is_the_derivative_of_the_curve() {
     let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-    let curve = ToneCurve::new(
-        &Histogram::of(&image),
-        Anchor::Equalised {
-            alpha: 0.0,
-            gamma: 0.5,
-        },
-    );
-    assert!(
-        (curve.slope([0.25; 3])[1] - 1.0).abs() < 1e-3,
-        "{:?}",
-        curve.slope([0.25; 3])
-    );
+    let curve =
+        ToneCurve::new(&Histogram::of(&image), Anchor::Equalised { alpha: 0.0, gamma: 0.5 });
+    assert!((curve.slope([0.25; 3])[1] - 1.0).abs() < 1e-3, "{:?}", curve.slope([0.25; 3]));
 }
 
 proptest! {

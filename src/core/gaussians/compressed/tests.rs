@@ -9,10 +9,7 @@ fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut number = |from: f32, to: f32| random.random_range(from..to);
     let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
-    let mut scene = Gaussians {
-        sh_degree,
-        ..Gaussians::default()
-    };
+    let mut scene = Gaussians { sh_degree, ..Gaussians::default() };
     for _ in 0..count {
         scene.means.push([0; 3].map(|_| number(0.0, side)));
         scene.quats.push([0; 4].map(|_| number(-1.0, 1.0)));
@@ -26,10 +23,7 @@ fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
 /// The file that holds the scene: what follows its header, and the header.
 fn written(scene: &Gaussians) -> (String, Vec<u8>) {
     let mut bytes = Vec::new();
-    let scene = Scene {
-        gaussians: scene.clone(),
-        normalisation: Normalisation::default(),
-    };
+    let scene = Scene { gaussians: scene.clone(), normalisation: Normalisation::default() };
     write_to(&scene, &mut bytes).expect("written");
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);
@@ -51,10 +45,8 @@ fn read(body: &[u8], count: usize, coefficients: usize) -> Gaussians {
         (word >> shift & ((1 << bits) - 1)) as f32 / ((1 << bits) - 1) as f32
     };
     let thirds = |word: u32| [part(word, 21, 11), part(word, 11, 10), part(word, 0, 11)];
-    let mut scene = Gaussians {
-        sh_degree: coefficients.isqrt() as u32 - 1,
-        ..Gaussians::default()
-    };
+    let mut scene =
+        Gaussians { sh_degree: coefficients.isqrt() as u32 - 1, ..Gaussians::default() };
     let higher = 3 * (coefficients - 1);
     for index in 0..count {
         let (chunk, at) = (index / CHUNK, 18 * chunks + 4 * index);
@@ -134,14 +126,8 @@ fn what_is_read_back_differs_by_no_more_than_half_a_step() {
         let found = differences(&expected, &back);
         // Half a step of 10 bits of the cube, of the scales and of eight bits of the colours; a
         // step of 10 bits of a rotation; half a step of 8.
-        let bounds = [
-            8.0 / 2046.0,
-            6.0 / 2046.0,
-            3.0 * Y00 / 510.0,
-            1.0 / 510.0,
-            0.006,
-            1.0 / 64.0,
-        ];
+        let bounds =
+            [8.0 / 2046.0, 6.0 / 2046.0, 3.0 * Y00 / 510.0, 1.0 / 510.0, 0.006, 1.0 / 64.0];
         for (found, bound) in found.iter().zip(bounds) {
             assert!(*found <= bound * 1.01, "degree {degree}: {found} > {bound}");
         }

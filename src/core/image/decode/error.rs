@@ -79,9 +79,6 @@ pub enum ImageError {
 impl ImageError {
     /// Whether the format is known but not accepted (HTTP 415), as against a broken file.
     pub fn is_unsupported_format(&self) -> bool {
-        matches!(
-            self,
-            Self::Video | Self::Panorama | Self::Unread(_) | Self::Unsupported { .. }
-        )
+        matches!(self, Self::Video | Self::Panorama | Self::Unread(_) | Self::Unsupported { .. })
     }
 }

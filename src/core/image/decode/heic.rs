@@ -50,19 +50,11 @@ impl Heic {
             return Err(ImageError::TooManyPixels { width, height });
         }
         let size = upright_size(&file, whole).map_err(|error| told(&error))?;
-        let config = file
-            .hevc_config(first)
-            .map_err(|error| told(&error.into()))?;
+        let config = file.hevc_config(first).map_err(|error| told(&error.into()))?;
         let is_deep = config.is_some_and(|config| config.bit_depth_luma > 8);
         // EXIF that cannot be read leaves the photograph as good as it was.
         let exif = file.exif(file.primary_id).ok().flatten();
-        Ok(Self {
-            is_deep,
-            size,
-            coded: whole,
-            exif,
-            bytes,
-        })
+        Ok(Self { is_deep, size, coded: whole, exif, bytes })
     }
 
     /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before
@@ -91,9 +83,8 @@ impl Heic {
             let top = u32::from(picture.max_value());
             let deep = |v: u16| ((u32::from(v) * 65_535 + top / 2) / top) as u16;
             let pixels = picture.data.chunks_exact(4);
-            for (out, v) in out
-                .chunks_exact_mut(2)
-                .zip(pixels.flat_map(|pixel| over_black(pixel, top)))
+            for (out, v) in
+                out.chunks_exact_mut(2).zip(pixels.flat_map(|pixel| over_black(pixel, top)))
             {
                 out.copy_from_slice(&deep(v).to_ne_bytes());
             }
@@ -103,9 +94,7 @@ impl Heic {
             self.check((picture.width, picture.height))?;
             let pixels = picture.data.chunks_exact(4);
             let values = pixels.flat_map(|pixel| over_black(pixel, 255));
-            out.iter_mut()
-                .zip(values)
-                .for_each(|(out, v)| *out = v as u8);
+            out.iter_mut().zip(values).for_each(|(out, v)| *out = v as u8);
         }
         Ok(())
     }
@@ -129,11 +118,7 @@ impl ImageDecoder for Heic {
     }
 
     fn color_type(&self) -> ColorType {
-        if self.is_deep {
-            ColorType::Rgb16
-        } else {
-            ColorType::Rgb8
-        }
+        if self.is_deep { ColorType::Rgb16 } else { ColorType::Rgb8 }
     }
 
     fn orientation(&mut self) -> ImageResult<Orientation> {
@@ -216,9 +201,7 @@ fn coded_below(file: &HeifFile<'_>, id: u32) -> Result<Option<u32>, Error> {
         && (columns - 1) * u64::from(width) < u64::from(grid.output_width)
         && (rows - 1) * u64::from(height) < u64::from(grid.output_height);
     if !is_filled {
-        return Err(Error::Invalid(
-            "its grid has other tiles than its size asks for",
-        ));
+        return Err(Error::Invalid("its grid has other tiles than its size asks for"));
     }
     Ok(Some(first))
 }
@@ -237,9 +220,7 @@ fn check_alpha(file: &HeifFile<'_>) -> Result<(), Error> {
 
 /// Width and height before the container's cuts and turns.
 fn coded_size(file: &HeifFile<'_>, id: u32) -> Result<(u32, u32), Error> {
-    let size = file
-        .image_size(id)?
-        .ok_or(Error::Invalid("its size is missing"))?;
+    let size = file.image_size(id)?.ok_or(Error::Invalid("its size is missing"))?;
     if size.0 == 0 || size.1 == 0 {
         return Err(Error::Invalid("it has no pixels"));
     }
@@ -276,9 +257,7 @@ fn over_black<T: Copy + Into<u32>>(pixel: &[T], top: u32) -> [u16; 3] {
 fn told(error: &Error) -> ImageError {
     let message = error.to_string();
     match error {
-        Error::Unsupported(what) => ImageError::Unsupported {
-            message: what.clone(),
-        },
+        Error::Unsupported(what) => ImageError::Unsupported { message: what.clone() },
         _ => ImageError::Damaged { message },
     }
 }

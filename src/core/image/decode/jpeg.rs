@@ -22,9 +22,7 @@ const LARGEST: u32 = 1280;
 /// # Errors
 /// [`ImageError::Damaged`], with how much is whole.
 pub(super) fn check(bytes: &[u8]) -> Result<Option<Grid>, ImageError> {
-    let damaged = |message: &str| ImageError::Damaged {
-        message: message.to_owned(),
-    };
+    let damaged = |message: &str| ImageError::Damaged { message: message.to_owned() };
     let mut file = File::new(bytes);
     loop {
         let Some((marker, skipped)) = file.marker() else {
@@ -67,9 +65,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<Option<Grid>, ImageError> {
 /// The error of a file whose decoder does not read its kind, by the name of that.
 pub(super) fn named(bytes: &[u8], error: ImageError) -> ImageError {
     match unread(bytes) {
-        Some(kind) => ImageError::Unsupported {
-            message: kind.to_owned(),
-        },
+        Some(kind) => ImageError::Unsupported { message: kind.to_owned() },
         None => error,
     }
 }
@@ -271,10 +267,7 @@ impl<'a> File<'a> {
         let down = frame.components.iter().map(|one| one.down).max()?;
         let alone = frame.components.len() == 1;
         let side = |factor: usize| if alone { 8 } else { 8 * factor };
-        Some(Grid {
-            unit: (side(across), side(down)),
-            restart: self.restart,
-        })
+        Some(Grid { unit: (side(across), side(down)), restart: self.restart })
     }
 
     fn finish(&self, damaged: &dyn Fn(&str) -> ImageError) -> Result<Option<Grid>, ImageError> {
@@ -326,11 +319,7 @@ struct Huffman {
 
 impl Huffman {
     fn new(counts: &[u8], values: &[u8]) -> Self {
-        let mut table = Self {
-            short: [(0, 0); 256],
-            long: [(0, 0); 17],
-            values: values.to_vec(),
-        };
+        let mut table = Self { short: [(0, 0); 256], long: [(0, 0); 17], values: values.to_vec() };
         let (mut code, mut index) = (0_u32, 0_usize);
         for length in 1..=16_usize {
             table.long[length].1 = index as i32 - code as i32;
@@ -368,11 +357,7 @@ impl Tables {
             let Some(values) = segment.get(17..17 + count) else {
                 return;
             };
-            let tables = if class < 16 {
-                &mut self.dc
-            } else {
-                &mut self.ac
-            };
+            let tables = if class < 16 { &mut self.dc } else { &mut self.ac };
             if let Some(table) = tables.get_mut(usize::from(class & 15)) {
                 *table = Some(Huffman::new(counts, values));
             }
@@ -455,12 +440,7 @@ impl Frame {
                 to_come: [255; 64],
             }
         };
-        Some(Self {
-            height,
-            units,
-            progressive,
-            components: parts.iter().map(component).collect(),
-        })
+        Some(Self { height, units, progressive, components: parts.iter().map(component).collect() })
     }
 
     /// Remembers a scan that is whole.
@@ -477,11 +457,8 @@ impl Frame {
         let begun = |&bits: &u8| bits == 0 || bits == 255;
         self.components.iter().enumerate().all(|(at, component)| {
             let to_come = &component.to_come;
-            let rest = if at == 0 {
-                to_come.iter().all(is_done)
-            } else {
-                to_come.iter().all(begun)
-            };
+            let rest =
+                if at == 0 { to_come.iter().all(is_done) } else { to_come.iter().all(begun) };
             to_come[0] == 0 && rest
         })
     }
@@ -513,16 +490,8 @@ impl<'a> Scan<'a> {
         let (&count, rest) = header.split_first()?;
         let (names, rest) = rest.split_at_checked(2 * usize::from(count))?;
         let [first, last, bits] = *rest.first_chunk()?;
-        let band = if frame.progressive {
-            (first, last)
-        } else {
-            (0, 63)
-        };
-        let (high, low) = if frame.progressive {
-            (bits >> 4, bits & 15)
-        } else {
-            (0, 0)
-        };
+        let band = if frame.progressive { (first, last) } else { (0, 63) };
+        let (high, low) = if frame.progressive { (bits >> 4, bits & 15) } else { (0, 0) };
         let part = |name: &[u8]| {
             let is_named = |component: &Component| component.id == name[0];
             let component = frame.components.iter().position(is_named)?;
@@ -578,10 +547,7 @@ impl<'a> Scan<'a> {
                 self.parts.iter_mut().for_each(|part| part.last = 0);
                 whole = unit;
             }
-            if self
-                .unit(frame, bits, (unit % across, unit / across))
-                .is_none()
-            {
+            if self.unit(frame, bits, (unit % across, unit / across)).is_none() {
                 return whole.max(unit.saturating_sub(1));
             }
         }
@@ -592,18 +558,11 @@ impl<'a> Scan<'a> {
         let (band, alone) = (self.band, self.parts.len() == 1);
         for index in 0..self.parts.len() {
             let component = &mut frame.components[self.parts[index].component];
-            let (h, v) = if alone {
-                (1, 1)
-            } else {
-                (component.across, component.down)
-            };
+            let (h, v) = if alone { (1, 1) } else { (component.across, component.down) };
             for block in 0..h * v {
                 let (x, y) = (at.0 * h + block % h, at.1 * v + block / h);
                 let mut none = 0;
-                let set = component
-                    .set
-                    .get_mut(y * component.stride + x)
-                    .unwrap_or(&mut none);
+                let set = component.set.get_mut(y * component.stride + x).unwrap_or(&mut none);
                 if band.0 == 0 {
                     self.dc(index, bits)?;
                 }
@@ -719,12 +678,7 @@ struct Bits<'a> {
 
 impl<'a> Bits<'a> {
     fn new(bytes: &'a [u8], at: usize) -> Self {
-        Self {
-            bytes,
-            at,
-            buffer: 0,
-            count: 0,
-        }
+        Self { bytes, at, buffer: 0, count: 0 }
     }
 
     fn fill(&mut self) {
@@ -774,21 +728,14 @@ impl<'a> Bits<'a> {
     fn value(&mut self, size: u8) -> Option<i32> {
         let bits = self.take(u32::from(size))? as i32;
         let half = 1 << size >> 1;
-        Some(if bits < half {
-            bits - (1 << size) + 1
-        } else {
-            bits
-        })
+        Some(if bits < half { bits - (1 << size) + 1 } else { bits })
     }
 
     /// Gives back the whole bytes that were not used, and says where they begin.
     fn unread(&mut self) -> usize {
         for _ in 0..self.count / 8 {
-            self.at -= if self.bytes[self.at - 1] == 0 && self.bytes[self.at - 2] == 0xff {
-                2
-            } else {
-                1
-            };
+            self.at -=
+                if self.bytes[self.at - 1] == 0 && self.bytes[self.at - 2] == 0xff { 2 } else { 1 };
         }
         self.count = 0;
         self.at

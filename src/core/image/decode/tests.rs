@@ -36,31 +36,15 @@ fn grey_alpha_and_sixteen_bits_have_their_defined_pixels() {
     let load = |name: &str, bytes: &[u8]| Image::load(&file(&folder, name, bytes)).expect("read");
     let grey = load("grey.png", &png(&[0, 51, 255], 3, 1, ExtendedColorType::L8));
     assert!(close(grey.get(1, 0), [0.2; 3]) && close(grey.get(2, 0), [1.0; 3]));
-    let alpha = load(
-        "alpha.png",
-        &png(&[255, 102, 0, 128], 1, 1, ExtendedColorType::Rgba8),
-    );
-    assert!(
-        close(alpha.get(0, 0), [128.0 / 255.0, 51.0 / 255.0, 0.0]),
-        "{:?}",
-        alpha.get(0, 0)
-    );
-    let grey_alpha = load(
-        "la.png",
-        &png(&[200, 0, 200, 255], 2, 1, ExtendedColorType::La8),
-    );
+    let alpha = load("alpha.png", &png(&[255, 102, 0, 128], 1, 1, ExtendedColorType::Rgba8));
+    assert!(close(alpha.get(0, 0), [128.0 / 255.0, 51.0 / 255.0, 0.0]), "{:?}", alpha.get(0, 0));
+    let grey_alpha = load("la.png", &png(&[200, 0, 200, 255], 2, 1, ExtendedColorType::La8));
     assert!(
         close(grey_alpha.get(0, 0), [0.0; 3]) && close(grey_alpha.get(1, 0), [200.0 / 255.0; 3])
     );
-    let deep: Vec<u8> = [1_u16, 1000, 65_535]
-        .into_iter()
-        .flat_map(u16::to_ne_bytes)
-        .collect();
+    let deep: Vec<u8> = [1_u16, 1000, 65_535].into_iter().flat_map(u16::to_ne_bytes).collect();
     let deep = load("deep.png", &png(&deep, 1, 1, ExtendedColorType::Rgb16));
-    assert!(close(
-        deep.get(0, 0),
-        [1.0 / 65_535.0, 1000.0 / 65_535.0, 1.0]
-    ));
+    assert!(close(deep.get(0, 0), [1.0 / 65_535.0, 1000.0 / 65_535.0, 1.0]));
 }
 
 /// Of 16 px, 2 x 2 of them: made once by tests/golden/photographs.py (Pillow, tifffile, libheif).
@@ -71,21 +55,13 @@ fn golden_files_of_other_encoders_have_their_defined_pixels() {
     let folder = folder();
     let expected = BLOCKS.map(|c| c.map(|v| f32::from(v) / 255.0));
     let files: [(&str, &[u8], f32); 8] = [
-        (
-            "palette.png",
-            include_bytes!("../../../../tests/golden/photographs/palette.png"),
-            0.004,
-        ),
+        ("palette.png", include_bytes!("../../../../tests/golden/photographs/palette.png"), 0.004),
         (
             "progressive.jpg",
             include_bytes!("../../../../tests/golden/photographs/progressive.jpg"),
             0.02,
         ),
-        (
-            "cmyk.jpg",
-            include_bytes!("../../../../tests/golden/photographs/cmyk.jpg"),
-            0.03,
-        ),
+        ("cmyk.jpg", include_bytes!("../../../../tests/golden/photographs/cmyk.jpg"), 0.03),
         (
             "lossless.webp",
             include_bytes!("../../../../tests/golden/photographs/lossless.webp"),
@@ -96,36 +72,17 @@ fn golden_files_of_other_encoders_have_their_defined_pixels() {
             include_bytes!("../../../../tests/golden/photographs/lossless.heic"),
             0.004,
         ),
-        (
-            "deep.tif",
-            include_bytes!("../../../../tests/golden/photographs/deep.tif"),
-            0.004,
-        ),
-        (
-            "cmyk.tif",
-            include_bytes!("../../../../tests/golden/photographs/cmyk.tif"),
-            0.01,
-        ),
-        (
-            "turned.jpg",
-            include_bytes!("../../../../tests/golden/photographs/turned.jpg"),
-            0.02,
-        ),
+        ("deep.tif", include_bytes!("../../../../tests/golden/photographs/deep.tif"), 0.004),
+        ("cmyk.tif", include_bytes!("../../../../tests/golden/photographs/cmyk.tif"), 0.01),
+        ("turned.jpg", include_bytes!("../../../../tests/golden/photographs/turned.jpg"), 0.02),
     ];
     for (name, bytes, tolerance) in files {
         let image = Image::load(&file(&folder, name, bytes)).expect(name);
         assert_eq!((image.width(), image.height()), (32, 32), "{name}");
         for (block, colour) in expected.iter().enumerate() {
             let got = image.get(8 + 16 * (block % 2), 8 + 16 * (block / 2));
-            let off = got
-                .iter()
-                .zip(colour)
-                .map(|(a, b)| (a - b).abs())
-                .fold(0.0, f32::max);
-            assert!(
-                off <= tolerance,
-                "{name} block {block}: {got:?} against {colour:?}"
-            );
+            let off = got.iter().zip(colour).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+            assert!(off <= tolerance, "{name} block {block}: {got:?} against {colour:?}");
         }
     }
 }
@@ -170,28 +127,16 @@ fn every_orientation_is_turned_upright_once_in_header_and_pixels() {
     let cases = (1..=8).flat_map(|orientation| {
         [
             (orientation, Value::Short(vec![orientation]), &b""[..]),
-            (
-                orientation,
-                Value::Long(vec![orientation.into()]),
-                b"Exif\0\0",
-            ),
+            (orientation, Value::Long(vec![orientation.into()]), b"Exif\0\0"),
         ]
     });
     for (orientation, value, prefix) in cases {
         let bytes = oriented(orientation, value, prefix);
         let path = file(&folder, "a.png", &bytes);
         let header = read_header(&path).expect("a header");
-        assert_eq!(
-            (header.width, header.height),
-            (3, 2),
-            "orientation {orientation}"
-        );
+        assert_eq!((header.width, header.height), (3, 2), "orientation {orientation}");
         let image = Image::load(&path).expect("read");
-        let row: Vec<u8> = image
-            .plane(0)
-            .iter()
-            .map(|v| (v * 255.0).round() as u8)
-            .collect();
+        let row: Vec<u8> = image.plane(0).iter().map(|v| (v * 255.0).round() as u8).collect();
         let expected: Vec<u8> = (0..6).map(|i| 40 * i).collect();
         assert_eq!(row, expected, "orientation {orientation}");
     }
@@ -205,10 +150,8 @@ fn page<K: tiff::encoder::TiffKind>(
     use tiff::encoder::colortype::Gray8;
     let mut page = file.new_image::<Gray8>(side, side).expect("a page");
     let tags = page.encoder();
-    tags.write_tag(tiff::tags::Tag::NewSubfileType, kind)
-        .expect("a tag");
-    page.write_data(&vec![level; (side * side) as usize])
-        .expect("written");
+    tags.write_tag(tiff::tags::Tag::NewSubfileType, kind).expect("a tag");
+    page.write_data(&vec![level; (side * side) as usize]).expect("written");
 }
 
 #[test]
@@ -221,11 +164,7 @@ fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
         let header = read_header(&path).expect(what);
         assert_eq!((header.width, header.height), (20, 20), "{what}");
         let image = Image::load(&path).expect(what);
-        assert!(
-            close(image.get(9, 9), [0.8; 3]),
-            "{what}: {:?}",
-            image.get(9, 9)
-        );
+        assert!(close(image.get(9, 9), [0.8; 3]), "{what}: {:?}", image.get(9, 9));
     };
     // A thumbnail, the photograph, another, and the photograph's mask.
     let pages = [(8, 50, 1), (20, 204, 0), (20, 90, 0), (40, 255, 4)];
@@ -256,22 +195,14 @@ fn a_picture_that_is_too_large_is_refused_on_its_header() {
     bytes[29..33].copy_from_slice(&checksum);
     let error = Image::load(&file(&folder, "bomb.png", &bytes)).expect_err("too large");
     assert!(
-        matches!(
-            error,
-            ImageError::TooManyPixels {
-                width: 50_000,
-                height: 50_000
-            }
-        ),
+        matches!(error, ImageError::TooManyPixels { width: 50_000, height: 50_000 }),
         "{error}"
     );
 }
 
 fn crc32(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(!0_u32, |crc, &byte| {
-        (0..8).fold(crc ^ u32::from(byte), |c, _| {
-            (c >> 1) ^ (0xedb8_8320 & (c & 1).wrapping_neg())
-        })
+        (0..8).fold(crc ^ u32::from(byte), |c, _| (c >> 1) ^ (0xedb8_8320 & (c & 1).wrapping_neg()))
     })
 }
 
@@ -296,10 +227,7 @@ fn broken_files_are_errors_that_say_what_is_wrong() {
         Image::load(folder.path()),
         Err(ImageError::UnknownFormat | ImageError::Io { .. })
     ));
-    assert!(matches!(
-        Image::load(&folder.path().join("none")),
-        Err(ImageError::Io { .. })
-    ));
+    assert!(matches!(Image::load(&folder.path().join("none")), Err(ImageError::Io { .. })));
 }
 
 #[test]
@@ -308,35 +236,19 @@ fn a_file_cut_short_is_damaged_in_every_format() {
     let image = Image::<Srgb>::from_planar(
         64,
         64,
-        (0..3 * 64 * 64)
-            .map(|i| ((i * 2_654_435_761_usize) >> 7 & 255) as f32 / 255.0)
-            .collect(),
+        (0..3 * 64 * 64).map(|i| ((i * 2_654_435_761_usize) >> 7 & 255) as f32 / 255.0).collect(),
     );
-    let jpeg = image
-        .encode(crate::image::EncodeFormat::Jpeg(90))
-        .expect("encoded");
-    let png = image
-        .encode(crate::image::EncodeFormat::Png)
-        .expect("encoded");
+    let jpeg = image.encode(crate::image::EncodeFormat::Jpeg(90)).expect("encoded");
+    let png = image.encode(crate::image::EncodeFormat::Png).expect("encoded");
     let webp: &[u8] = include_bytes!("../../../../tests/golden/photographs/lossless.webp");
     let tiff: &[u8] = include_bytes!("../../../../tests/golden/photographs/deep.tif");
-    for (name, whole) in [
-        ("a.jpg", jpeg.as_slice()),
-        ("a.png", &png),
-        ("a.webp", webp),
-        ("a.tif", tiff),
-    ] {
-        assert!(
-            Image::load(&file(&folder, name, whole)).is_ok(),
-            "{name} whole"
-        );
+    for (name, whole) in
+        [("a.jpg", jpeg.as_slice()), ("a.png", &png), ("a.webp", webp), ("a.tif", tiff)]
+    {
+        assert!(Image::load(&file(&folder, name, whole)).is_ok(), "{name} whole");
         for length in [20, 33, whole.len() / 2, whole.len() * 9 / 10] {
             let outcome = Image::load(&file(&folder, name, &whole[..length]));
-            assert!(
-                outcome.is_err(),
-                "{name} cut to {length} of {}",
-                whole.len()
-            );
+            assert!(outcome.is_err(), "{name} cut to {length} of {}", whole.len());
         }
     }
 }
@@ -344,17 +256,9 @@ fn a_file_cut_short_is_damaged_in_every_format() {
 #[test]
 fn shrinking_while_reading_averages_light_not_code_values() {
     let folder = folder();
-    let path = file(
-        &folder,
-        "a.png",
-        &png(&[0, 255, 255, 0], 2, 2, ExtendedColorType::L8),
-    );
+    let path = file(&folder, "a.png", &png(&[0, 255, 255, 0], 2, 2, ExtendedColorType::L8));
     let image = Image::load_at_most(&path, 1).expect("read");
-    assert!(
-        close(image.get(0, 0), [linear_to_srgb(0.5); 3]),
-        "{:?}",
-        image.get(0, 0)
-    );
+    assert!(close(image.get(0, 0), [linear_to_srgb(0.5); 3]), "{:?}", image.get(0, 0));
     let same = Image::load_at_most(&path, 100).expect("read");
     assert_eq!(same, Image::load(&path).expect("read"));
 }

@@ -4,11 +4,7 @@ use super::*;
 
 #[test]
 fn views_with_a_kernel_train_as_enhanced_by_default() {
-    let with = |shake, train_on| Options {
-        shake,
-        train_on,
-        ..Options::default()
-    };
+    let with = |shake, train_on| Options { shake, train_on, ..Options::default() };
     let auto = with(ShakeModel::Late, TrainOn::Auto);
     assert!(auto.trains_on_enhanced(true) && !auto.trains_on_enhanced(false));
     assert!(!auto.needs_no_network());
@@ -28,43 +24,18 @@ fn late_kernels_are_for_views_found_shaken() {
 #[test]
 fn assignments_take_numbers_words_and_booleans() {
     let options = Options::default();
-    assert_eq!(
-        options.with_assignment("rounds=3").expect("valid").rounds,
-        3
-    );
-    assert_eq!(
-        options
-            .with_assignment("held_out=5")
-            .expect("valid")
-            .held_out,
-        "5"
-    );
-    assert_eq!(
-        options.with_assignment("noise=off").expect("valid").noise,
-        NoiseMode::Off
-    );
-    assert!(
-        !options
-            .with_assignment("late_views=false")
-            .expect("valid")
-            .late_views
-    );
-    assert_eq!(
-        options
-            .with_assignment("target=10,0.8")
-            .expect("valid")
-            .target,
-        "10,0.8"
-    );
+    assert_eq!(options.with_assignment("rounds=3").expect("valid").rounds, 3);
+    assert_eq!(options.with_assignment("held_out=5").expect("valid").held_out, "5");
+    assert_eq!(options.with_assignment("noise=off").expect("valid").noise, NoiseMode::Off);
+    assert!(!options.with_assignment("late_views=false").expect("valid").late_views);
+    assert_eq!(options.with_assignment("target=10,0.8").expect("valid").target, "10,0.8");
 }
 
 #[test]
 fn every_nth_view_may_be_a_number_or_a_string_in_json() {
     let read = |value: serde_json::Value| {
         let overrides = serde_json::Map::from_iter([("held_out".to_owned(), value)]);
-        Options::default()
-            .with_overrides(&overrides)
-            .map(|options| options.held_out)
+        Options::default().with_overrides(&overrides).map(|options| options.held_out)
     };
     assert_eq!(read(5.into()).expect("valid"), "5");
     assert_eq!(read("a,b".into()).expect("valid"), "a,b");
@@ -87,33 +58,12 @@ fn no_current_option_is_retired() {
 #[test]
 fn an_unknown_key_or_bad_value_names_the_key() {
     let options = Options::default();
-    assert_eq!(
-        options.with_assignment("round=3").expect_err("unknown").key,
-        "round"
-    );
-    assert_eq!(
-        options.with_assignment("rounds=0").expect_err("range").key,
-        "rounds"
-    );
-    assert_eq!(
-        options
-            .with_assignment("dropout=0.1")
-            .expect_err("gone")
-            .key,
-        "dropout"
-    );
-    assert_eq!(
-        options.with_assignment("noise=loud").expect_err("enum").key,
-        "noise"
-    );
-    let aimed = Options {
-        target: "10,0.8".to_owned(),
-        ..options
-    };
-    assert_eq!(
-        aimed.with_assignment("enhance=a").expect_err("both").key,
-        "target"
-    );
+    assert_eq!(options.with_assignment("round=3").expect_err("unknown").key, "round");
+    assert_eq!(options.with_assignment("rounds=0").expect_err("range").key, "rounds");
+    assert_eq!(options.with_assignment("dropout=0.1").expect_err("gone").key, "dropout");
+    assert_eq!(options.with_assignment("noise=loud").expect_err("enum").key, "noise");
+    let aimed = Options { target: "10,0.8".to_owned(), ..options };
+    assert_eq!(aimed.with_assignment("enhance=a").expect_err("both").key, "target");
 }
 
 #[test]

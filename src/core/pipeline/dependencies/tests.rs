@@ -8,10 +8,7 @@ use crate::pipeline::config::{ShakeModel, TrainOn};
 const STALE: [(&str, &[&str]); 22] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
-    (
-        "size",
-        &["views", "enhance", "deblur", "reconstruct", "guided"],
-    ),
+    ("size", &["views", "enhance", "deblur", "reconstruct", "guided"]),
     ("target", &["enhance", "deblur", "reconstruct", "guided"]),
     ("lut_scope", &["enhance", "deblur", "reconstruct", "guided"]),
     ("deblur", &[]),
@@ -29,10 +26,7 @@ const STALE: [(&str, &[&str]); 22] = [
     ("background", &["reconstruct", "guided"]),
     ("held_out", &["reconstruct", "guided"]),
     ("pose_source", &["poses"]),
-    (
-        "seed",
-        &["poses", "enhance", "deblur", "reconstruct", "guided"],
-    ),
+    ("seed", &["poses", "enhance", "deblur", "reconstruct", "guided"]),
     ("adapter", &[]),
 ];
 
@@ -70,10 +64,7 @@ fn network(id: &str) -> RestorerInfo {
 }
 
 fn networks(deblur: &str, enhance: Option<&str>) -> Networks {
-    Networks {
-        deblur: network(deblur),
-        enhance: enhance.map(network),
-    }
+    Networks { deblur: network(deblur), enhance: enhance.map(network) }
 }
 
 fn found() -> Poses {
@@ -98,13 +89,8 @@ fn found() -> Poses {
 /// The fingerprint of each kind of result.
 fn results(options: &Options, networks: &Networks) -> Vec<(&'static str, String)> {
     let poses = PosesDependencies::new(options, "capture", "source", networks);
-    let run = RunDependencies::new(
-        options,
-        "capture",
-        &found(),
-        networks.clone(),
-        "adapter".to_owned(),
-    );
+    let run =
+        RunDependencies::new(options, "capture", &found(), networks.clone(), "adapter".to_owned());
     let first = run.round(1, None);
     let second = run.round(2, Some(&first));
     let dependencies = [
@@ -117,10 +103,7 @@ fn results(options: &Options, networks: &Networks) -> Vec<(&'static str, String)
         ("guided", second.deblur),
         ("run", run.run()),
     ];
-    dependencies
-        .into_iter()
-        .map(|(name, on)| (name, on.fingerprint().to_owned()))
-        .collect()
+    dependencies.into_iter().map(|(name, on)| (name, on.fingerprint().to_owned())).collect()
 }
 
 fn stale(before: &[(&'static str, String)], after: &[(&'static str, String)]) -> Vec<&'static str> {
@@ -131,14 +114,7 @@ fn stale(before: &[(&'static str, String)], after: &[(&'static str, String)]) ->
 }
 
 /// The results of the three long stages, and their inputs.
-const LISTED: [&str; 6] = [
-    "poses",
-    "views",
-    "enhance",
-    "deblur",
-    "reconstruct",
-    "guided",
-];
+const LISTED: [&str; 6] = ["poses", "views", "enhance", "deblur", "reconstruct", "guided"];
 
 #[test]
 fn an_option_invalidates_only_its_readers_and_what_follows() {
@@ -154,10 +130,7 @@ fn an_option_invalidates_only_its_readers_and_what_follows() {
         let changed: Options = serde_json::from_value(changed).expect("valid");
         let stale = stale(&before, &results(&changed, &all));
         assert!(stale.contains(&"run"), "the whole result is another");
-        let listed: Vec<&str> = LISTED
-            .into_iter()
-            .filter(|stage| stale.contains(stage))
-            .collect();
+        let listed: Vec<&str> = LISTED.into_iter().filter(|stage| stale.contains(stage)).collect();
         let (_, expected) = STALE
             .iter()
             .find(|(option, _)| option == name)
@@ -168,10 +141,7 @@ fn an_option_invalidates_only_its_readers_and_what_follows() {
 
 #[test]
 fn another_network_keeps_poses_and_scenes_of_enhanced_views() {
-    let options = Options {
-        shake: ShakeModel::Kernel,
-        ..Options::default()
-    };
+    let options = Options { shake: ShakeModel::Kernel, ..Options::default() };
     let before = results(&options, &networks("one", None));
     let after = |networks| stale(&before, &results(&options, &networks));
     let all = after(networks("two", None));
@@ -182,10 +152,7 @@ fn another_network_keeps_poses_and_scenes_of_enhanced_views() {
 
 #[test]
 fn another_network_invalidates_scenes_of_deblurred_views() {
-    let deblurred = Options {
-        train_on: TrainOn::Deblurred,
-        ..Options::default()
-    };
+    let deblurred = Options { train_on: TrainOn::Deblurred, ..Options::default() };
     // By default the first round trains on them.
     for options in [deblurred, Options::default()] {
         let before = results(&options, &networks("one", None));
@@ -198,11 +165,7 @@ fn another_network_invalidates_scenes_of_deblurred_views() {
 
 #[test]
 fn a_stage_sees_defaults_for_options_that_it_does_not_name() {
-    let options = Options {
-        steps: 7,
-        cap: 777,
-        ..Options::default()
-    };
+    let options = Options { steps: 7, cap: 777, ..Options::default() };
     let depends_on = Dependencies::on(&options, &["steps"], &[]);
     assert_eq!(depends_on.options().steps, 7);
     assert_eq!(depends_on.options().cap, Options::default().cap);
@@ -229,14 +192,8 @@ fn rounds_at_the_target_differ_from_rising_ones() {
     let adapter = "adapter".to_owned();
     let run = RunDependencies::new(&Options::default(), "capture", &found(), one, adapter);
     let rising = run.clone().with_levels(Levels::Rising).round(1, None);
-    assert_eq!(
-        rising.deblur.fingerprint(),
-        run.round(1, None).deblur.fingerprint()
-    );
+    assert_eq!(rising.deblur.fingerprint(), run.round(1, None).deblur.fingerprint());
     let level = run.with_levels(Levels::Target).round(1, None);
     assert_ne!(level.deblur.fingerprint(), rising.deblur.fingerprint());
-    assert_ne!(
-        level.reconstruct.fingerprint(),
-        rising.reconstruct.fingerprint()
-    );
+    assert_ne!(level.reconstruct.fingerprint(), rising.reconstruct.fingerprint());
 }

@@ -15,8 +15,7 @@ pub fn rows(
 ) -> Vec<ViewScore> {
     let row = |(index, view): (usize, &View)| registered(view, index, comparisons, likenesses);
     let rows = views.iter().enumerate().map(row);
-    rows.chain(unregistered.iter().map(|name| without_pose(name)))
-        .collect()
+    rows.chain(unregistered.iter().map(|name| without_pose(name))).collect()
 }
 
 fn registered(
@@ -98,11 +97,7 @@ mod tests {
 
     fn comparison(reference: Reference, psnr_db: [Option<f64>; 2]) -> Comparison {
         let scores = psnr_db.map(|psnr_db| {
-            psnr_db.map(|psnr_db| Scores {
-                psnr_db,
-                psnr_cc_db: psnr_db + 1.0,
-                ssim: 0.5,
-            })
+            psnr_db.map(|psnr_db| Scores { psnr_db, psnr_cc_db: psnr_db + 1.0, ssim: 0.5 })
         });
         Comparison {
             image: ImageKind::Render,

@@ -15,11 +15,7 @@ pub struct RoundImages<'a> {
 
 impl<'a> RoundImages<'a> {
     pub fn new(enhanced: &'a [Image], deblurred: &'a [Image], renders: &'a [Image]) -> Self {
-        Self {
-            enhanced,
-            deblurred,
-            renders,
-        }
+        Self { enhanced, deblurred, renders }
     }
 }
 

@@ -52,12 +52,7 @@ pub fn comparisons(
             let reference = against(view)?;
             Some(Scores::of(&set[view], reference))
         });
-        Comparison {
-            image,
-            reference,
-            brightness,
-            scores: scores.collect(),
-        }
+        Comparison { image, reference, brightness, scores: scores.collect() }
     };
     let truth: &References<'_> = &|view| views[view].gt.as_ref();
     let deblurred: &References<'_> = &|view| Some(&images.deblurred[view]);
@@ -68,20 +63,8 @@ pub fn comparisons(
         compare(render, gt, Final, &target.renders, truth),
         compare(ImageKind::Deblurred, gt, Final, &target.deblurred, truth),
         compare(ImageKind::Enhanced, gt, Final, target.enhanced, truth),
-        compare(
-            render,
-            Reference::Deblurred,
-            Native,
-            images.renders,
-            deblurred,
-        ),
-        compare(
-            render,
-            Reference::Enhanced,
-            Native,
-            images.renders,
-            enhanced,
-        ),
+        compare(render, Reference::Deblurred, Native, images.renders, deblurred),
+        compare(render, Reference::Enhanced, Native, images.renders, enhanced),
         compare(render, Reference::Enhanced, Final, &target.renders, bright),
     ]
 }
@@ -95,18 +78,13 @@ pub fn records(views: &[View], comparisons: &[Comparison]) -> Vec<Record> {
         let of = move |comparison| mean_record(views, split, comparison);
         comparisons.iter().filter_map(of)
     };
-    [Split::HeldOut, Split::Train]
-        .into_iter()
-        .flat_map(mean)
-        .collect()
+    [Split::HeldOut, Split::Train].into_iter().flat_map(mean).collect()
 }
 
 fn mean_record(views: &[View], split: Split, comparison: &Comparison) -> Option<Record> {
     let members = views.iter().zip(&comparison.scores);
-    let scores: Vec<Scores> = members
-        .filter(|(view, _)| view.split == split)
-        .filter_map(|(_, scores)| *scores)
-        .collect();
+    let scores: Vec<Scores> =
+        members.filter(|(view, _)| view.split == split).filter_map(|(_, scores)| *scores).collect();
     if scores.is_empty() {
         return None;
     }

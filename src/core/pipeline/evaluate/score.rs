@@ -55,11 +55,7 @@ pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
             .collect()
     };
     let held_out = of(Split::HeldOut);
-    let compared = if held_out.is_empty() {
-        of(Split::Train)
-    } else {
-        held_out
-    };
+    let compared = if held_out.is_empty() { of(Split::Train) } else { held_out };
     compared.iter().sum::<f64>() / compared.len().max(1) as f64
 }
 
@@ -78,29 +74,14 @@ mod tests {
         for (x, y) in (0..SIDE * SIDE).map(|i| (i % SIDE, i / SIDE)) {
             let (u, v) = ((x % 13) as f64 - 6.0, (y % 11) as f64 - 5.0);
             let inside = u.hypot(v) < 2.0 + ((x / 13 + y / 11) % 3) as f64;
-            image.set(
-                x,
-                y,
-                if inside {
-                    [0.8, 0.6, 0.3]
-                } else {
-                    [0.2, 0.25, 0.4]
-                },
-            );
+            image.set(x, y, if inside { [0.8, 0.6, 0.3] } else { [0.2, 0.25, 0.4] });
         }
         image
     }
 
     fn along(length: i32) -> ShakeKernel {
         let weight = 1.0 / (2 * length + 1) as f32;
-        ShakeKernel::new(
-            (-length..=length)
-                .map(|x| Tap {
-                    offset: [x, 0],
-                    weight,
-                })
-                .collect(),
-        )
+        ShakeKernel::new((-length..=length).map(|x| Tap { offset: [x, 0], weight }).collect())
     }
 
     fn blurred(image: &Image, length: i32) -> Image {

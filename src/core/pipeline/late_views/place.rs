@@ -94,15 +94,7 @@ pub fn place(
     let (number, cancel) = (scene.finished.round.number, context.cancel);
     let mut advance = |done, total| {
         let per_second = None;
-        context.advance(
-            Stage::Poses,
-            number,
-            Advance {
-                done,
-                total,
-                per_second,
-            },
-        );
+        context.advance(Stage::Poses, number, Advance { done, total, per_second });
     };
     let pairs = Pairs::Across(queries.len());
     let found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
@@ -127,10 +119,8 @@ impl Scene<'_> {
     /// The photograph undistorted with the lens of a posed one of the same size, of the most
     /// similar focal length if EXIF records one.
     fn query(&self, photograph: &CaptureView) -> Result<Option<Query>, PipelineError> {
-        let unreadable = |source| PipelineError::Photograph {
-            name: photograph.name.clone(),
-            source,
-        };
+        let unreadable =
+            |source| PipelineError::Photograph { name: photograph.name.clone(), source };
         let header = read_header(&photograph.file).map_err(unreadable)?;
         let focal_of = |posed: &PosedView| {
             let views = &self.finished.capture.views;
@@ -148,10 +138,7 @@ impl Scene<'_> {
         let Some(other) = same_size.min_by(|a, b| unlike(a).total_cmp(&unlike(b))) else {
             return Ok(None);
         };
-        let posed = PosedView {
-            name: photograph.name.clone(),
-            ..other.clone()
-        };
+        let posed = PosedView { name: photograph.name.clone(), ..other.clone() };
         let size = self.options.size as usize;
         let view = views::view(photograph, &posed, Split::Train, size)?;
         Ok(Some(Query { posed, view }))
@@ -163,12 +150,8 @@ impl Scene<'_> {
             .filter(|&index| !self.leaving.contains(&self.finished.views[index].name))
             .collect();
         // As many pairs as among sixty photographs, but at least eight renders per photograph.
-        let most = (1800 / photographs.max(1))
-            .clamp(8, MOST_RENDERS)
-            .min(all.len());
-        (0..most)
-            .map(|index| all[index * all.len() / most])
-            .collect()
+        let most = (1800 / photographs.max(1)).clamp(8, MOST_RENDERS).min(all.len());
+        (0..most).map(|index| all[index * all.len() / most]).collect()
     }
 
     /// Writes photographs and renders as files, at the brightness that suits the networks.
@@ -180,18 +163,11 @@ impl Scene<'_> {
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = context.workspace.folder().work().late_views();
         let dark = queries.iter().map(|query| &query.view.dark);
-        let renders = references
-            .iter()
-            .map(|&index| &self.finished.renders[index]);
+        let renders = references.iter().map(|&index| &self.finished.renders[index]);
         let write = |(index, image): (usize, &Image)| {
             context.cancel.check()?;
             let path = folder.join(format!("{index:05}.png"));
-            pictures::write(
-                context.workspace,
-                &path,
-                &brightened(image),
-                EncodeFormat::Png,
-            )?;
+            pictures::write(context.workspace, &path, &brightened(image), EncodeFormat::Png)?;
             Ok(path)
         };
         dark.chain(renders).enumerate().map(write).collect()
@@ -210,19 +186,13 @@ impl Scene<'_> {
             let camera = &self.finished.views[references[pair.second - queries]].camera;
             for &[query, render] in &pair.matches {
                 let at = pixel(found, pair.second, render);
-                seen[pair.first]
-                    .entry(query)
-                    .or_default()
-                    .push((camera, at));
+                seen[pair.first].entry(query).or_default().push((camera, at));
             }
         }
         let near = near_px(self.finished.views);
         let of = |(query, seen): (usize, &Seen<'_>)| {
             let sighting = |(&point, rays): (&u32, &Vec<_>)| {
-                Some(Sighting {
-                    pixel: pixel(found, query, point),
-                    point: meeting(rays, near)?,
-                })
+                Some(Sighting { pixel: pixel(found, query, point), point: meeting(rays, near)? })
             };
             seen.iter().filter_map(sighting).collect()
         };
@@ -250,10 +220,7 @@ impl Scene<'_> {
             return None;
         };
         let tone = self.finished.round.tone.scene();
-        let camera = Camera {
-            world_to_camera: found.camera.world_to_camera,
-            ..posed.camera
-        };
+        let camera = Camera { world_to_camera: found.camera.world_to_camera, ..posed.camera };
         Some(Placed {
             posed: PosedView { camera, ..posed },
             camera: found.camera,

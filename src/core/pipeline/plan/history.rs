@@ -36,19 +36,16 @@ impl History {
     pub fn open(folder: Option<&Path>, workspace: &Workspace) -> Self {
         let file = folder.map(|folder| folder.join("costs.json"));
         let runs = file.as_ref().and_then(|file| workspace.read_json(file));
-        Self {
-            file,
-            runs: runs.unwrap_or_default(),
-        }
+        Self { file, runs: runs.unwrap_or_default() }
     }
 
     /// Seconds a unit of work that a part took lately.
     pub fn pace(&self, part: Part, by: &str) -> Option<f64> {
         let newest = self.runs.iter().rev().flatten();
         let costs = newest.filter(|cost| cost.part == part && cost.by == by);
-        let (work, seconds) = costs.take(ASKED).fold((0.0, 0.0), |(work, seconds), cost| {
-            (work + cost.work, seconds + cost.seconds)
-        });
+        let (work, seconds) = costs
+            .take(ASKED)
+            .fold((0.0, 0.0), |(work, seconds), cost| (work + cost.work, seconds + cost.seconds));
         (work > 0.0).then(|| seconds / work)
     }
 

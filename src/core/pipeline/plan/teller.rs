@@ -17,12 +17,7 @@ pub struct Teller<'a> {
 impl<'a> Teller<'a> {
     /// Follows a run that begins now.
     pub fn new(sink: &'a mut dyn ProgressSink, workspace: &'a Workspace, plan: Plan) -> Self {
-        Self {
-            sink,
-            workspace,
-            plan,
-            started: Instant::now(),
-        }
+        Self { sink, workspace, plan, started: Instant::now() }
     }
 }
 

@@ -72,10 +72,7 @@ fn replay(events: &[(f64, Event)], plan: &mut Plan) -> Vec<Moment> {
         if !plan.take(*at, event) {
             continue;
         }
-        let Some(Running {
-            stage, round, last, ..
-        }) = plan.running
-        else {
+        let Some(Running { stage, round, last, .. }) = plan.running else {
             continue;
         };
         moments.push(Moment {
@@ -94,9 +91,7 @@ fn replay(events: &[(f64, Event)], plan: &mut Plan) -> Vec<Moment> {
 /// The moments whose time left is wrong. As long as the shake may still decide for fewer rounds,
 /// only too little is wrong.
 fn faults(moments: &[Moment], end: f64) -> Vec<String> {
-    let after = moments
-        .iter()
-        .skip_while(|moment| moment.stage == Stage::Poses && !moment.is_over);
+    let after = moments.iter().skip_while(|moment| moment.stage == Stage::Poses && !moment.is_over);
     let wrong = |moment: &&Moment| {
         let truth = end - moment.at;
         let Some(eta) = moment.eta else { return true };
@@ -104,13 +99,7 @@ fn faults(moments: &[Moment], end: f64) -> Vec<String> {
         eta < truth - room || (eta > truth + room && !moment.is_open)
     };
     let told = |moment: &Moment| {
-        let Moment {
-            at,
-            stage,
-            round,
-            eta,
-            ..
-        } = moment;
+        let Moment { at, stage, round, eta, .. } = moment;
         let truth = end - at;
         format!("{at:.1} s, {stage:?} of round {round}: {eta:.1?} s left, not {truth:.1} s")
     };
@@ -127,16 +116,8 @@ fn ten_recorded_runs_tell_a_time_left_that_is_true() {
         let moments = replay(&recording.events, &mut plan);
         let (end, _) = recording.events.last().expect("an end");
         let faults = faults(&moments, *end);
-        wrong.extend(
-            faults
-                .into_iter()
-                .map(|fault| format!("run {number} at {fault}")),
-        );
-        assert!(
-            moments
-                .windows(2)
-                .all(|pair| pair[0].progress <= pair[1].progress)
-        );
+        wrong.extend(faults.into_iter().map(|fault| format!("run {number} at {fault}")));
+        assert!(moments.windows(2).all(|pair| pair[0].progress <= pair[1].progress));
         assert_eq!((plan.progress, plan.eta), (1.0, Some(0.0)));
         history = plan.history().clone();
     }
@@ -174,11 +155,7 @@ fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
 }
 
 fn fresh(history: History) -> Plan {
-    let options = Options {
-        steps: 300,
-        deblur: NetworkChoice::Identity,
-        ..Options::default()
-    };
+    let options = Options { steps: 300, deblur: NetworkChoice::Identity, ..Options::default() };
     Plan::new(&options, 12, 12 * 240 * 136, By::default(), history)
 }
 
@@ -191,12 +168,7 @@ fn with_poses(history: History) -> Plan {
 /// The history of a run whose parts all took `pace` times as long as on two cores.
 fn history_of(pace: f64) -> History {
     let parts = [Part::Poses, Part::Steps, Part::Kernels, Part::Cameras];
-    let cost = |part| Cost {
-        part,
-        by: String::new(),
-        work: 10.0,
-        seconds: 10.0 * pace,
-    };
+    let cost = |part| Cost { part, by: String::new(), work: 10.0, seconds: 10.0 * pace };
     let mut history = History::default();
     history.add(parts.map(cost).into());
     history
@@ -209,10 +181,7 @@ fn time_left_never_rises_while_steps_go_on_evenly() {
         let moments = replay(&even_training(&plan, slowness), &mut plan);
         let left: Vec<f64> = moments.iter().filter_map(|moment| moment.eta).collect();
         assert_eq!(left.len(), moments.len());
-        assert!(
-            left.windows(2).all(|pair| pair[1] <= pair[0]),
-            "{slowness}: {left:.1?}"
-        );
+        assert!(left.windows(2).all(|pair| pair[1] <= pair[0]), "{slowness}: {left:.1?}");
     }
 }
 
@@ -223,10 +192,7 @@ fn a_tenth_of_a_first_training_shows_how_long_it_takes() {
         let events = even_training(&plan, slowness);
         let whole = events.last().expect("steps").0;
         let moments = replay(&events, &mut plan);
-        let late: Vec<_> = moments
-            .iter()
-            .filter(|moment| moment.at > 0.1 * whole)
-            .collect();
+        let late: Vec<_> = moments.iter().filter(|moment| moment.at > 0.1 * whole).collect();
         let left = |moment: &&Moment| moment.eta.expect("known");
         assert!(late.windows(2).all(|pair| left(&pair[1]) <= left(&pair[0])));
         // The second round goes on as the first, and nothing is known of the other stages.
@@ -237,11 +203,7 @@ fn a_tenth_of_a_first_training_shows_how_long_it_takes() {
         };
         let after: f64 = plan.job.stages().into_iter().map(left_of).sum();
         let truth = whole - late[0].at + after;
-        assert!(
-            (left(&late[0]) / truth - 1.0).abs() < 0.3,
-            "{} {truth}",
-            left(&late[0])
-        );
+        assert!((left(&late[0]) / truth - 1.0).abs() < 0.3, "{} {truth}", left(&late[0]));
     }
 }
 
@@ -251,10 +213,7 @@ fn poses(done: u64, total: u64) -> Event {
 
 #[test]
 fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
-    let begins = Event::StageStarted {
-        stage: Stage::Poses,
-        round: 0,
-    };
+    let begins = Event::StageStarted { stage: Stage::Poses, round: 0 };
     let told = |history, events: &[(f64, Event)]| {
         let mut plan = fresh(history);
         plan.take(0.0, &begins);
@@ -264,31 +223,20 @@ fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
         plan.eta
     };
     let counted = [(1.0, poses(1, 78))];
-    assert_eq!(
-        told(History::default(), &counted),
-        None,
-        "no run has shown how long"
-    );
+    assert_eq!(told(History::default(), &counted), None, "no run has shown how long");
     let left = told(history_of(1.0), &counted).expect("known");
     let twice = told(history_of(2.0), &counted).expect("known");
     assert!(twice > 1.5 * left, "{twice} {left}");
     let thirds = [(1.0, poses(1, 3))];
     assert_eq!(told(history_of(1.0), &thirds), None, "thirds of a strategy");
     let late = [(1.0, poses(1, 78)), (1000.0, poses(78, 78 + 1))];
-    assert_eq!(
-        told(history_of(1.0), &late),
-        None,
-        "it takes longer than ever"
-    );
+    assert_eq!(told(history_of(1.0), &late), None, "it takes longer than ever");
 }
 
 #[test]
 fn progress_goes_forwards_where_a_tool_counts_anew() {
     let mut plan = fresh(History::default());
-    let begins = Event::StageStarted {
-        stage: Stage::Poses,
-        round: 0,
-    };
+    let begins = Event::StageStarted { stage: Stage::Poses, round: 0 };
     plan.take(0.0, &begins);
     let mut progress = Vec::new();
     for (at, event) in [
@@ -301,10 +249,7 @@ fn progress_goes_forwards_where_a_tool_counts_anew() {
         plan.take(at, &event);
         progress.push(plan.progress);
     }
-    assert!(
-        progress[0] < progress[1] && progress[3] < progress[4],
-        "{progress:?}"
-    );
+    assert!(progress[0] < progress[1] && progress[3] < progress[4], "{progress:?}");
     assert_eq!(progress[1..4], [progress[1]; 3]);
     assert!(progress[4] < 0.9, "poses are not all of a run");
 }
@@ -315,33 +260,18 @@ fn a_resumed_training_says_nothing_of_the_pace() {
     let (stage, round) = (Stage::Reconstruct, 1);
     plan.take(0.0, &Event::StageStarted { stage, round });
     for (at, done) in [(0.3, 201), (9.0, 290)] {
-        let advanced = Event::StageAdvanced {
-            stage,
-            round,
-            done,
-            total: 300,
-            steps_per_second: Some(10.0),
-        };
+        let advanced =
+            Event::StageAdvanced { stage, round, done, total: 300, steps_per_second: Some(10.0) };
         plan.take(at, &advanced);
     }
-    plan.take(
-        10.0,
-        &Event::StageStarted {
-            stage: Stage::Render,
-            round,
-        },
-    );
+    plan.take(10.0, &Event::StageStarted { stage: Stage::Render, round });
     assert!(plan.measured.is_empty(), "{:?}", plan.measured);
 }
 
 #[test]
 fn a_machine_remembers_its_last_runs_by_what_did_them() {
-    let cost = |by: &str, seconds| Cost {
-        part: Part::Steps,
-        by: by.to_owned(),
-        work: 1.0,
-        seconds,
-    };
+    let cost =
+        |by: &str, seconds| Cost { part: Part::Steps, by: by.to_owned(), work: 1.0, seconds };
     let folder = tempfile::tempdir().expect("temporary folder");
     let workspace = Workspace::open(folder.path()).expect("open");
     let mut history = History::open(Some(folder.path()), &workspace);
@@ -352,11 +282,7 @@ fn a_machine_remembers_its_last_runs_by_what_did_them() {
     history.add(vec![cost("gpu", 0.1)]);
     history.write(&workspace).expect("written");
     let history = History::open(Some(folder.path()), &workspace);
-    assert_eq!(
-        history.pace(Part::Steps, "cpu"),
-        Some(29.0),
-        "the last three"
-    );
+    assert_eq!(history.pace(Part::Steps, "cpu"), Some(29.0), "the last three");
     assert_eq!(history.pace(Part::Steps, "gpu"), Some(0.1));
     assert_eq!(history.pace(Part::Render, "cpu"), None);
 }
@@ -369,10 +295,7 @@ fn told_of_a_render(folder: &Path, workspace: &Workspace) -> Vec<Event> {
     let mut teller = Teller::new(&mut sink, workspace, plan);
     let (stage, round) = (Stage::Render, 1);
     teller.event(&Event::StageStarted { stage, round });
-    teller.event(&Event::Finished {
-        best_round: 1,
-        seconds: 1.0,
-    });
+    teller.event(&Event::Finished { best_round: 1, seconds: 1.0 });
     told
 }
 
@@ -381,13 +304,7 @@ fn a_finished_run_leaves_its_costs_to_the_next() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let workspace = Workspace::open(folder.path()).expect("open");
     let told = told_of_a_render(folder.path(), &workspace);
-    let [
-        Event::StageStarted { .. },
-        first,
-        last,
-        Event::Finished { .. },
-    ] = &told[..]
-    else {
+    let [Event::StageStarted { .. }, first, last, Event::Finished { .. }] = &told[..] else {
         panic!("{told:?}");
     };
     let done = |event: &Event| matches!(event, Event::Progress { progress: 1.0, .. });
@@ -396,8 +313,5 @@ fn a_finished_run_leaves_its_costs_to_the_next() {
     assert!(history.pace(Part::Render, "").is_some());
     // Below a file there is no room for another.
     let told = told_of_a_render(&folder.path().join("costs.json"), &workspace);
-    assert!(
-        matches!(&told[3], Event::Warning { code, .. } if code == "costs"),
-        "{told:?}"
-    );
+    assert!(matches!(&told[3], Event::Warning { code, .. } if code == "costs"), "{told:?}");
 }

@@ -200,11 +200,7 @@ impl Job {
             let side = 1.0 / schedule.divisor(step) as f64;
             let (from, to) = GROWTH;
             let grown = ((schedule.share(step) - from) / (to - from)).clamp(0.0, 1.0);
-            let gaussians = if schedule.warm {
-                1.0
-            } else {
-                FIRST_SHARE.powf(1.0 - grown)
-            };
+            let gaussians = if schedule.warm { 1.0 } else { FIRST_SHARE.powf(1.0 - grown) };
             let plain = self.seconds(&STEP, side * side, gaussians);
             work[0] += noise * (plain + BLURRED_STEP * blurred * side * side);
             if schedule.estimates_shake(step) {

@@ -51,11 +51,7 @@ pub fn poses(
         .into_iter()
         .map(|posed| at_original_size(posed, views))
         .collect::<Result<Vec<_>, _>>()?;
-    Ok(Ok(Poses {
-        views: placed,
-        strategy: Some(STRATEGY),
-        ..found
-    }))
+    Ok(Ok(Poses { views: placed, strategy: Some(STRATEGY), ..found }))
 }
 
 fn brightened(views: &[PoseView], options: &Options) -> Result<Vec<Image>, PipelineError> {
@@ -81,9 +77,7 @@ fn copy(
         let message = format!("{}: {warning}", view.name);
         context.sink.warn("poses", message);
     }
-    let bytes = deblurred
-        .encode(EncodeFormat::Png)
-        .map_err(|source| unreadable(view, source))?;
+    let bytes = deblurred.encode(EncodeFormat::Png).map_err(|source| unreadable(view, source))?;
     context.workspace.write(&file, &bytes)?;
     let (original_width, _) = upright_size(view)?;
     let scale = image.width() as f64 / original_width as f64;
@@ -100,19 +94,9 @@ fn at_original_size(posed: PosedView, views: &[PoseView]) -> Result<PosedView, P
         return Ok(posed);
     };
     let (width, height) = upright_size(view)?;
-    let lens = Lens {
-        intrinsics: posed.lens.intrinsics.resized(width, height),
-        ..posed.lens
-    };
-    let camera = Camera {
-        intrinsics: lens.pinhole(),
-        ..posed.camera
-    };
-    Ok(PosedView {
-        camera,
-        lens,
-        ..posed
-    })
+    let lens = Lens { intrinsics: posed.lens.intrinsics.resized(width, height), ..posed.lens };
+    let camera = Camera { intrinsics: lens.pinhole(), ..posed.camera };
+    Ok(PosedView { camera, lens, ..posed })
 }
 
 fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
@@ -121,8 +105,5 @@ fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
 }
 
 fn unreadable(view: &PoseView, source: ImageError) -> PipelineError {
-    PipelineError::Photograph {
-        name: view.name.clone(),
-        source,
-    }
+    PipelineError::Photograph { name: view.name.clone(), source }
 }

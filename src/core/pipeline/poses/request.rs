@@ -17,10 +17,6 @@ pub fn ask(
     work_dir: &Path,
     seed: u64,
 ) -> Result<Poses, PosesError> {
-    let request = PoseRequest {
-        views,
-        work_dir,
-        seed,
-    };
+    let request = PoseRequest { views, work_dir, seed };
     tools.sfm.poses(&request, context.sink, context.cancel)
 }

@@ -24,10 +24,7 @@ impl Sfm for NeedsLight {
         _: &CancelToken,
     ) -> Result<Poses, PosesError> {
         let count = request.views.len();
-        let mut found = Poses {
-            total: count,
-            ..placed(count, false, 'A')
-        };
+        let mut found = Poses { total: count, ..placed(count, false, 'A') };
         let mut darkest = f32::INFINITY;
         for view in request.views {
             let image = Image::load(&view.file).expect("a photograph");
@@ -37,30 +34,12 @@ impl Sfm for NeedsLight {
             let (width, height) = (image.width(), image.height());
             let focal = width as f64;
             let (cx, cy) = (focal / 2.0, height as f64 / 2.0);
-            let k = Intrinsics {
-                width,
-                height,
-                fx: focal,
-                fy: focal,
-                cx,
-                cy,
-            };
+            let k = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
             let camera = Camera::look_at(k, glam::DVec3::ZERO, glam::DVec3::Z, glam::DVec3::Y);
-            let lens = Lens {
-                intrinsics: k,
-                distortion: Distortion::None,
-            };
-            found.views.push(PosedView {
-                name: view.name.clone(),
-                camera,
-                lens,
-            });
+            let lens = Lens { intrinsics: k, distortion: Distortion::None };
+            found.views.push(PosedView { name: view.name.clone(), camera, lens });
         }
-        if darkest < 0.3 {
-            Err(few(1))
-        } else {
-            Ok(found)
-        }
+        if darkest < 0.3 { Err(few(1)) } else { Ok(found) }
     }
 
     fn describe(&self) -> String {
@@ -78,11 +57,7 @@ impl Restorer for Grey {
     }
 
     fn describe(&self) -> RestorerInfo {
-        RestorerInfo {
-            id: self.0.to_string(),
-            channels: 3,
-            ..Identity.describe()
-        }
+        RestorerInfo { id: self.0.to_string(), channels: 3, ..Identity.describe() }
     }
 
     fn take_warnings(&mut self) -> Vec<String> {
@@ -102,9 +77,7 @@ fn found_with(
         for (index, value) in image.data_mut().iter_mut().enumerate() {
             *value = 0.02 + 0.002 * (index % period) as f32;
         }
-        image
-            .save(&images.join(format!("{name}.png")))
-            .expect("written");
+        image.save(&images.join(format!("{name}.png"))).expect("written");
     }
     let capture = Capture::open(home.path(), &home.path().join("scratch")).expect("a capture");
     let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
@@ -135,22 +108,11 @@ fn what_no_strategy_can_place_is_deblurred_once_and_asked_about_again() {
     let (found, warnings, asked) = found_with(&mut Grey(0.5, Vec::new()));
     let found = found.expect("placed on bright copies");
     assert_eq!((found.strategy, found.registered), (Some(STRATEGY), 3));
-    let asked: Vec<_> = asked
-        .0
-        .into_inner()
-        .iter()
-        .map(|(width, mean)| (*width, *mean > 0.3))
-        .collect();
+    let asked: Vec<_> =
+        asked.0.into_inner().iter().map(|(width, mean)| (*width, *mean > 0.3)).collect();
     assert_eq!(
         asked,
-        [
-            (960, false),
-            (960, false),
-            (960, false),
-            (640, true),
-            (640, true),
-            (640, true)
-        ]
+        [(960, false), (960, false), (960, false), (640, true), (640, true), (640, true)]
     );
     for view in &found.views {
         let k = view.camera.intrinsics;
@@ -160,19 +122,13 @@ fn what_no_strategy_can_place_is_deblurred_once_and_asked_about_again() {
             "as the original"
         );
     }
-    assert_eq!(
-        warnings,
-        ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now"))
-    );
+    assert_eq!(warnings, ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now")));
 }
 
 #[test]
 fn a_run_without_a_network_has_no_second_look() {
     let (found, _, asked) = found_with(&mut Identity);
-    assert!(
-        matches!(found, Err(PipelineError::Poses(PosesError::TooFew { .. }))),
-        "{found:?}"
-    );
+    assert!(matches!(found, Err(PipelineError::Poses(PosesError::TooFew { .. }))), "{found:?}");
     assert_eq!(asked.0.into_inner().len(), 3);
 }
 
@@ -196,11 +152,7 @@ fn placed(registered: usize, low_confidence: bool, strategy: char) -> Poses {
 }
 
 fn few(registered: usize) -> PosesError {
-    PosesError::TooFew {
-        registered,
-        total: 20,
-        advice: String::new(),
-    }
+    PosesError::TooFew { registered, total: 20, advice: String::new() }
 }
 
 #[test]
@@ -218,14 +170,8 @@ fn the_second_look_wins_only_where_it_is_better() {
         strategy(Ok(placed(18, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
         Some(Some('C'))
     );
-    assert_eq!(
-        strategy(Ok(placed(12, true, 'C')), Err(few(4))).ok(),
-        Some(Some('C'))
-    );
-    assert_eq!(
-        strategy(Err(few(4)), Ok(placed(17, false, 'F'))).ok(),
-        Some(Some('F'))
-    );
+    assert_eq!(strategy(Ok(placed(12, true, 'C')), Err(few(4))).ok(), Some(Some('C')));
+    assert_eq!(strategy(Err(few(4)), Ok(placed(17, false, 'F'))).ok(), Some(Some('F')));
     assert!(matches!(
         strategy(Err(few(4)), Err(few(9))),
         Err(PosesError::TooFew { registered: 4, .. })
@@ -235,10 +181,7 @@ fn the_second_look_wins_only_where_it_is_better() {
 #[test]
 fn only_what_no_network_had_a_hand_in_serves_every_network() {
     let network = |id: &str| Networks {
-        deblur: RestorerInfo {
-            id: id.to_owned(),
-            ..Identity.describe()
-        },
+        deblur: RestorerInfo { id: id.to_owned(), ..Identity.describe() },
         enhance: None,
     };
     let depends_on =
@@ -260,11 +203,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
             told.push(format!("{code}: {message}"));
         }
     };
-    let poses = Poses {
-        total: 2,
-        mean_track: Some(2.5),
-        ..placed(1, true, 'C')
-    };
+    let poses = Poses { total: 2, mean_track: Some(2.5), ..placed(1, true, 'C') };
     let view = CaptureView {
         name: "cam0_b".to_owned(),
         path: PhotoPath::new("cam0/b.jpg"),
@@ -285,10 +224,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
     );
     told.clear();
     let mut sink = |event: &Event| told.push(format!("{event:?}"));
-    let whole = Poses {
-        total: 18,
-        ..placed(18, false, 'A')
-    };
+    let whole = Poses { total: 18, ..placed(18, false, 'A') };
     warn(&mut sink, &whole, &[]);
     assert!(told.is_empty(), "{told:?}");
 }

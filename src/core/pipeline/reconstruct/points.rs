@@ -35,10 +35,7 @@ pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
     poses
         .points
         .iter()
-        .map(|point| Point {
-            position: point.position.map(|x| x as f32),
-            colour: colour(point),
-        })
+        .map(|point| Point { position: point.position.map(|x| x as f32), colour: colour(point) })
         .collect()
 }
 
@@ -47,9 +44,6 @@ pub fn as_given(poses: &Poses) -> Vec<Point> {
     poses
         .points
         .iter()
-        .map(|point| Point {
-            position: point.position.map(|x| x as f32),
-            colour: point.colour,
-        })
+        .map(|point| Point { position: point.position.map(|x| x as f32), colour: point.colour })
         .collect()
 }

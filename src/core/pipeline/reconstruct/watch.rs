@@ -72,14 +72,10 @@ impl<'a> Watch<'a> {
     /// against it; else all are scored against their enhanced views.
     pub fn new(watched: &Watched<'a>, steps: u32) -> Self {
         let views = watched.views;
-        let held_out: Vec<usize> = (0..views.len())
-            .filter(|&view| views[view].split == Split::HeldOut)
-            .collect();
-        let with_truth: Vec<usize> = held_out
-            .iter()
-            .copied()
-            .filter(|&view| views[view].gt.is_some())
-            .collect();
+        let held_out: Vec<usize> =
+            (0..views.len()).filter(|&view| views[view].split == Split::HeldOut).collect();
+        let with_truth: Vec<usize> =
+            held_out.iter().copied().filter(|&view| views[view].gt.is_some()).collect();
         let truth = !with_truth.is_empty();
         let from = if truth { &with_truth } else { &held_out };
         let compared = spread_indices(from.len(), MOST_VIEWS)
@@ -212,10 +208,7 @@ struct Pace {
 impl Pace {
     /// The first look is due at once.
     fn new() -> Self {
-        Self {
-            since: Instant::now(),
-            rest: Duration::ZERO,
-        }
+        Self { since: Instant::now(), rest: Duration::ZERO }
     }
 
     fn is_due(&self) -> bool {

@@ -81,10 +81,7 @@ fn rows<T>(
     row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
 ) -> Result<Vec<T>, PosesError> {
     let content = text::bytes(file)?;
-    let mut bytes = Bytes {
-        left: &content,
-        file,
-    };
+    let mut bytes = Bytes { left: &content, file };
     let count = bytes.u64()?;
     bytes.many(count, row)
 }
@@ -104,13 +101,7 @@ fn camera(bytes: &mut Bytes<'_>) -> Result<CameraRow, PosesError> {
         };
     };
     let params = bytes.many(model.parameters() as u64, Bytes::f64)?;
-    Ok(Ok(ModelCamera {
-        id,
-        model,
-        width,
-        height,
-        params,
-    }))
+    Ok(Ok(ModelCamera { id, model, width, height, params }))
 }
 
 fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {
@@ -123,14 +114,7 @@ fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {
         let (x, y, point) = (bytes.f64()?, bytes.f64()?, bytes.u64()?);
         Ok((x, y, (point != NO_POINT).then_some(point)))
     })?;
-    Ok(ModelImage {
-        id,
-        rotation,
-        translation,
-        camera_id,
-        name,
-        keypoints,
-    })
+    Ok(ModelImage { id, rotation, translation, camera_id, name, keypoints })
 }
 
 fn point(bytes: &mut Bytes<'_>) -> Result<ModelPoint, PosesError> {
@@ -140,13 +124,7 @@ fn point(bytes: &mut Bytes<'_>) -> Result<ModelPoint, PosesError> {
     let error = bytes.f64()?;
     let count = bytes.u64()?;
     let track = bytes.many(count, |bytes| Ok((bytes.u32()?, bytes.u32()?)))?;
-    Ok(ModelPoint {
-        id,
-        position,
-        colour,
-        error,
-        track,
-    })
+    Ok(ModelPoint { id, position, colour, error, track })
 }
 
 pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
@@ -185,9 +163,7 @@ pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
 }
 
 fn extend(out: &mut Vec<u8>, values: &[f64]) {
-    values
-        .iter()
-        .for_each(|value| out.extend(value.to_le_bytes()));
+    values.iter().for_each(|value| out.extend(value.to_le_bytes()));
 }
 
 fn save<T>(file: &Path, rows: &[T], row: impl Fn(&mut Vec<u8>, &T)) -> Result<(), PosesError> {

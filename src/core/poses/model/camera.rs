@@ -63,10 +63,7 @@ impl CameraModel {
     ];
 
     fn row(self) -> (Self, i32, &'static str, usize) {
-        Self::NAMES
-            .into_iter()
-            .find(|row| row.0 == self)
-            .expect("every model has its row")
+        Self::NAMES.into_iter().find(|row| row.0 == self).expect("every model has its row")
     }
 
     fn has_one_focal_length(self) -> bool {
@@ -113,10 +110,7 @@ impl CameraModel {
 
     /// The model of this name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::NAMES
-            .into_iter()
-            .find(|row| row.2.eq_ignore_ascii_case(name))
-            .map(|row| row.0)
+        Self::NAMES.into_iter().find(|row| row.2.eq_ignore_ascii_case(name)).map(|row| row.0)
     }
 
     pub(super) fn number(self) -> i32 {
@@ -124,10 +118,7 @@ impl CameraModel {
     }
 
     pub(super) fn from_number(number: i32) -> Option<Self> {
-        Self::NAMES
-            .into_iter()
-            .find(|row| row.1 == number)
-            .map(|row| row.0)
+        Self::NAMES.into_iter().find(|row| row.1 == number).map(|row| row.0)
     }
 }
 
@@ -179,18 +170,8 @@ impl ModelCamera {
             true => (p[0], p[0], p[1], p[2]),
             false => (p[0], p[1], p[2], p[3]),
         };
-        let intrinsics = Intrinsics {
-            width: self.width,
-            height: self.height,
-            fx,
-            fy,
-            cx,
-            cy,
-        };
-        Lens {
-            intrinsics,
-            distortion: self.distortion(),
-        }
+        let intrinsics = Intrinsics { width: self.width, height: self.height, fx, fy, cx, cy };
+        Lens { intrinsics, distortion: self.distortion() }
     }
 
     fn distortion(&self) -> Distortion {
@@ -232,24 +213,12 @@ impl ModelCamera {
             Distortion::Fisheye { radial } => (CameraModel::OpenCvFisheye, radial.to_vec()),
         };
         let params = [vec![k.fx, k.fy, k.cx, k.cy], distortion].concat();
-        Self {
-            id,
-            model,
-            width: k.width,
-            height: k.height,
-            params,
-        }
+        Self { id, model, width: k.width, height: k.height, params }
     }
 
     /// A PINHOLE camera.
     pub fn pinhole(id: u32, k: &Intrinsics) -> Self {
         let params = vec![k.fx, k.fy, k.cx, k.cy];
-        Self {
-            id,
-            model: CameraModel::Pinhole,
-            width: k.width,
-            height: k.height,
-            params,
-        }
+        Self { id, model: CameraModel::Pinhole, width: k.width, height: k.height, params }
     }
 }

@@ -90,10 +90,7 @@ impl SparseModel {
         for (id, (name, camera)) in (1..).zip(views) {
             let next = model.cameras.len() as u32 + 1;
             let own = ModelCamera::pinhole(next, &camera.intrinsics);
-            let same = model
-                .cameras
-                .iter()
-                .find(|known| known.lens() == own.lens());
+            let same = model.cameras.iter().find(|known| known.lens() == own.lens());
             let camera_id = same.map_or(next, |known| known.id);
             let image = ModelImage::posed(id, camera_id, name, &camera);
             if camera_id == next {
@@ -114,10 +111,7 @@ impl SparseModel {
 
     /// The camera of an image.
     pub fn camera_of(&self, image: &ModelImage) -> &ModelCamera {
-        let camera = self
-            .cameras
-            .iter()
-            .find(|camera| camera.id == image.camera_id);
+        let camera = self.cameras.iter().find(|camera| camera.id == image.camera_id);
         camera.expect("checked when the model was read")
     }
 
@@ -169,10 +163,7 @@ impl SparseModel {
                 left_out.push(LeftOut::new(&image.name, &*camera.reason));
                 continue;
             }
-            let camera = self
-                .cameras
-                .iter()
-                .find(|camera| camera.id == image.camera_id);
+            let camera = self.cameras.iter().find(|camera| camera.id == image.camera_id);
             let camera = camera.ok_or_else(|| {
                 let (name, id) = (&image.name, image.camera_id);
                 let reason = format!("image {name} names camera {id}, which is not there");
@@ -182,10 +173,7 @@ impl SparseModel {
                 let reason = format!("camera {} has no usable intrinsics", camera.id);
                 left_out.push(LeftOut::new(&image.name, reason));
             } else if !image.is_usable() {
-                left_out.push(LeftOut::new(
-                    &image.name,
-                    "its pose holds no usable numbers",
-                ));
+                left_out.push(LeftOut::new(&image.name, "its pose holds no usable numbers"));
             }
         }
         let is_good: HashSet<u32> = self
@@ -194,8 +182,7 @@ impl SparseModel {
             .filter(|camera| camera.is_usable())
             .map(|camera| camera.id)
             .collect();
-        self.images
-            .retain(|image| image.is_usable() && is_good.contains(&image.camera_id));
+        self.images.retain(|image| image.is_usable() && is_good.contains(&image.camera_id));
         self.cameras.retain(|camera| is_good.contains(&camera.id));
         let is_finite = |point: &ModelPoint| point.position.iter().all(|v| v.is_finite());
         let bad = self.points.iter().filter(|point| !is_finite(point)).count();

@@ -11,22 +11,12 @@ fn number() -> impl Strategy<Value = f64> {
 
 fn camera(id: u32) -> impl Strategy<Value = ModelCamera> {
     let model = (0..CameraModel::NAMES.len()).prop_map(|i| CameraModel::NAMES[i].0);
-    (
-        model,
-        1..5000usize,
-        1..5000usize,
-        prop::collection::vec(1e-3..1e4f64, 12),
-    )
-        .prop_map(move |(model, width, height, mut params)| {
+    (model, 1..5000usize, 1..5000usize, prop::collection::vec(1e-3..1e4f64, 12)).prop_map(
+        move |(model, width, height, mut params)| {
             params.truncate(model.parameters());
-            ModelCamera {
-                id,
-                model,
-                width,
-                height,
-                params,
-            }
-        })
+            ModelCamera { id, model, width, height, params }
+        },
+    )
 }
 
 fn image(cameras: u32) -> impl Strategy<Value = ModelImage> {
@@ -39,16 +29,14 @@ fn image(cameras: u32) -> impl Strategy<Value = ModelImage> {
         "[a-z0-9é]([a-z0-9 _.é-]{0,12}[a-z0-9])?",
         prop::collection::vec(keypoint, 0..4),
     )
-        .prop_map(
-            |(id, rotation, translation, camera_id, name, keypoints)| ModelImage {
-                id,
-                rotation,
-                translation,
-                camera_id,
-                name,
-                keypoints,
-            },
-        )
+        .prop_map(|(id, rotation, translation, camera_id, name, keypoints)| ModelImage {
+            id,
+            rotation,
+            translation,
+            camera_id,
+            name,
+            keypoints,
+        })
 }
 
 fn point() -> impl Strategy<Value = ModelPoint> {
@@ -124,10 +112,7 @@ fn a_text_model_as_colmap_writes_it_is_understood() {
     let model = SparseModel::read(dir.path()).unwrap();
     assert_eq!(model.images.len(), 2);
     assert_eq!(model.images[0].name, "a b.png");
-    assert_eq!(
-        model.images[0].keypoints,
-        [(10.5, 20.25, None), (11.0, 21.0, Some(4))]
-    );
+    assert_eq!(model.images[0].keypoints, [(10.5, 20.25, None), (11.0, 21.0, Some(4))]);
     assert!(model.images[1].keypoints.is_empty());
     let lens = model.camera_of(&model.images[0]).lens();
     assert_eq!((lens.intrinsics.fx, lens.intrinsics.fy), (500.5, 500.5));
@@ -138,44 +123,20 @@ fn a_text_model_as_colmap_writes_it_is_understood() {
 #[test]
 fn a_bad_line_is_named() {
     let dir = tempfile::tempdir().unwrap();
-    std::fs::write(
-        dir.path().join("cameras.txt"),
-        "# x\n1 PINHOLE 640 480 500 500 320\n",
-    )
-    .unwrap();
+    std::fs::write(dir.path().join("cameras.txt"), "# x\n1 PINHOLE 640 480 500 500 320\n").unwrap();
     let error = SparseModel::read(dir.path()).unwrap_err().to_string();
-    assert!(
-        error.contains("line 2") && error.contains("4 parameters"),
-        "{error}"
-    );
+    assert!(error.contains("line 2") && error.contains("4 parameters"), "{error}");
 }
 
 #[test]
 fn an_image_without_its_camera_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let camera = Camera::from_pose(
-        Intrinsics {
-            width: 4,
-            height: 4,
-            fx: 1.0,
-            fy: 1.0,
-            cx: 2.0,
-            cy: 2.0,
-        },
+        Intrinsics { width: 4, height: 4, fx: 1.0, fy: 1.0, cx: 2.0, cy: 2.0 },
         DQuat::IDENTITY,
         DVec3::ZERO,
     );
     let images = vec![ModelImage::posed(1, 9, "a", &camera)];
-    SparseModel {
-        images,
-        ..SparseModel::default()
-    }
-    .write_binary(dir.path())
-    .unwrap();
-    assert!(
-        SparseModel::read(dir.path())
-            .unwrap_err()
-            .to_string()
-            .contains("camera 9")
-    );
+    SparseModel { images, ..SparseModel::default() }.write_binary(dir.path()).unwrap();
+    assert!(SparseModel::read(dir.path()).unwrap_err().to_string().contains("camera 9"));
 }

@@ -32,12 +32,7 @@ struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     fn new(text: &'a str, file: &'a Path, line: usize) -> Self {
-        Self {
-            fields: text.split_ascii_whitespace(),
-            text,
-            file,
-            line,
-        }
+        Self { fields: text.split_ascii_whitespace(), text, file, line }
     }
 
     fn fault(&self, what: &str) -> PosesError {
@@ -45,9 +40,7 @@ impl<'a> Fields<'a> {
     }
 
     fn word(&mut self) -> Result<&'a str, PosesError> {
-        self.fields
-            .next()
-            .ok_or_else(|| self.fault("too few fields"))
+        self.fields.next().ok_or_else(|| self.fault("too few fields"))
     }
 
     fn next<T: FromStr>(&mut self) -> Result<T, PosesError> {
@@ -55,9 +48,7 @@ impl<'a> Fields<'a> {
         // Windows writes -nan(ind) and 1.#QNAN.
         let is_nan = word.contains("nan") || word.contains("#QNAN") || word.contains("#IND");
         let number = if is_nan { "nan" } else { word };
-        number
-            .parse()
-            .map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
+        number.parse().map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
     }
 
     fn array<T: FromStr + Copy + Default, const N: usize>(&mut self) -> Result<[T; N], PosesError> {
@@ -101,13 +92,9 @@ fn rows<T>(
     row: impl Fn(&mut Fields<'_>) -> Result<T, PosesError>,
 ) -> Result<Vec<T>, PosesError> {
     let text = text::read(file)?;
-    let lines = text
-        .lines()
-        .enumerate()
-        .filter(|(_, l)| !is_comment(l) && !l.trim_ascii().is_empty());
-    lines
-        .map(|(index, line)| row(&mut Fields::new(line, file, index + 1)))
-        .collect()
+    let lines =
+        text.lines().enumerate().filter(|(_, l)| !is_comment(l) && !l.trim_ascii().is_empty());
+    lines.map(|(index, line)| row(&mut Fields::new(line, file, index + 1))).collect()
 }
 
 fn camera(fields: &mut Fields<'_>) -> Result<CameraRow, PosesError> {
@@ -126,13 +113,7 @@ fn camera(fields: &mut Fields<'_>) -> Result<CameraRow, PosesError> {
             params.len()
         )));
     }
-    Ok(Ok(ModelCamera {
-        id,
-        model,
-        width,
-        height,
-        params,
-    }))
+    Ok(Ok(ModelCamera { id, model, width, height, params }))
 }
 
 /// Two lines an image; the second, its keypoints, may be empty, and some leave it out.
@@ -176,14 +157,7 @@ fn image(fields: &mut Fields<'_>) -> Result<ModelImage, PosesError> {
     if name.is_empty() {
         return Err(fields.fault("an image without a name"));
     }
-    Ok(ModelImage {
-        id,
-        rotation,
-        translation,
-        camera_id,
-        name,
-        keypoints: Vec::new(),
-    })
+    Ok(ModelImage { id, rotation, translation, camera_id, name, keypoints: Vec::new() })
 }
 
 /// Whether a line after an image's first is that of the next one: pixels make no unit quaternion
@@ -217,35 +191,22 @@ pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
 
 /// The three files, by name.
 pub(super) fn files(model: &SparseModel) -> [(&'static str, String); 3] {
-    let cameras = format_rows(
-        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
-        &model.cameras,
-        |out, c| {
+    let cameras =
+        format_rows("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", &model.cameras, |out, c| {
             let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
             for p in &c.params {
                 let _ = write!(out, " {p}");
             }
-        },
-    );
+        });
     let header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
     let images = format_rows(header, &model.images, |out, i| {
         let ([w, x, y, z], [a, b, c]) = (i.rotation, i.translation);
-        let _ = writeln!(
-            out,
-            "{} {w} {x} {y} {z} {a} {b} {c} {} {}",
-            i.id, i.camera_id, i.name
-        );
+        let _ = writeln!(out, "{} {w} {x} {y} {z} {a} {b} {c} {} {}", i.id, i.camera_id, i.name);
         let keypoint = |(x, y, point): &(f64, f64, Option<u64>)| match point {
             Some(point) => format!("{x} {y} {point}"),
             None => format!("{x} {y} -1"),
         };
-        out.push_str(
-            &i.keypoints
-                .iter()
-                .map(keypoint)
-                .collect::<Vec<_>>()
-                .join(" "),
-        );
+        out.push_str(&i.keypoints.iter().map(keypoint).collect::<Vec<_>>().join(" "));
     });
     let header = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)";
     let points = format_rows(header, &model.points, |out, p| {
@@ -255,11 +216,7 @@ pub(super) fn files(model: &SparseModel) -> [(&'static str, String); 3] {
             let _ = write!(out, " {image} {index}");
         }
     });
-    [
-        ("cameras.txt", cameras),
-        ("images.txt", images),
-        ("points3D.txt", points),
-    ]
+    [("cameras.txt", cameras), ("images.txt", images), ("points3D.txt", points)]
 }
 
 fn format_rows<T>(header: &str, rows: &[T], row: impl Fn(&mut String, &T)) -> String {

@@ -68,44 +68,23 @@ pub fn plan(
         opacity(row) < MIN_OPACITY || (after_reset && largest(row) > LARGE * extent)
     };
     let kept: Vec<usize> = (0..rows.len()).filter(|&i| !dies(&rows[i])).collect();
-    let kept = if kept.is_empty() {
-        (0..rows.len()).collect()
-    } else {
-        kept
-    };
+    let kept = if kept.is_empty() { (0..rows.len()).collect() } else { kept };
     let mean = |i: usize| gradients[i].mean();
-    let mut coarse: Vec<usize> = kept
-        .iter()
-        .copied()
-        .filter(|&i| mean(i) >= THRESHOLD)
-        .collect();
+    let mut coarse: Vec<usize> = kept.iter().copied().filter(|&i| mean(i) >= THRESHOLD).collect();
     coarse.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
     coarse.truncate(cap.saturating_sub(kept.len()));
     let splits = |i: &usize| largest(&rows[*i]) > SMALL * extent;
     let split: std::collections::BTreeSet<usize> = coarse.iter().copied().filter(splits).collect();
     let stays = kept.iter().filter(|i| !split.contains(i));
-    let mut after: Vec<Descendant> = stays
-        .map(|&source| Descendant {
-            source,
-            row: rows[source],
-            new: false,
-        })
-        .collect();
+    let mut after: Vec<Descendant> =
+        stays.map(|&source| Descendant { source, row: rows[source], new: false }).collect();
     for &source in &coarse {
         if !split.contains(&source) {
-            after.push(Descendant {
-                source,
-                row: rows[source],
-                new: true,
-            });
+            after.push(Descendant { source, row: rows[source], new: true });
             continue;
         }
         for _ in 0..PARTS {
-            after.push(Descendant {
-                source,
-                row: part(&rows[source], random),
-                new: true,
-            });
+            after.push(Descendant { source, row: part(&rows[source], random), new: true });
         }
     }
     after
@@ -147,10 +126,7 @@ mod tests {
     const LARGE_GRADIENT: PositionGradient = seen_in_ten_views(0.01);
 
     const fn seen_in_ten_views(lengths: f32) -> PositionGradient {
-        PositionGradient {
-            lengths,
-            views: 10.0,
-        }
+        PositionGradient { lengths, views: 10.0 }
     }
 
     /// A Gaussian ten times as long in its own x, which points along the world's y.
@@ -172,25 +148,13 @@ mod tests {
         cap: usize,
         after_reset: bool,
     ) -> Vec<Descendant> {
-        plan(
-            rows,
-            gradients,
-            cap,
-            1.0,
-            after_reset,
-            &mut Pcg64::seed_from_u64(1),
-        )
+        plan(rows, gradients, cap, 1.0, after_reset, &mut Pcg64::seed_from_u64(1))
     }
 
     #[test]
     fn small_ones_are_cloned_large_split_and_transparent_removed() {
-        let rows = [
-            row(0.6, 1e-4),
-            row(0.6, 0.05),
-            row(0.001, 0.05),
-            row(0.6, 1e-4),
-            row(0.6, 1e-4),
-        ];
+        let rows =
+            [row(0.6, 1e-4), row(0.6, 0.05), row(0.001, 0.05), row(0.6, 1e-4), row(0.6, 1e-4)];
         // The fourth has half the required gradient; no view showed the last.
         let found = after(
             &rows,
@@ -205,17 +169,7 @@ mod tests {
             false,
         );
         let kinds: Vec<_> = found.iter().map(|d| (d.source, d.new)).collect();
-        assert_eq!(
-            kinds,
-            [
-                (0, false),
-                (3, false),
-                (4, false),
-                (0, true),
-                (1, true),
-                (1, true)
-            ]
-        );
+        assert_eq!(kinds, [(0, false), (3, false), (4, false), (0, true), (1, true), (1, true)]);
         assert_eq!(found[3].row, rows[0]);
         for part in &found[4..] {
             let shrunk = rows[1].log_scale[0] - part.row.log_scale[0];
@@ -236,11 +190,7 @@ mod tests {
             (sum / parts.len() as f32).sqrt()
         };
         for (axis, expected) in [(0, 0.01), (1, 0.1), (2, 0.01)] {
-            assert!(
-                (spread(axis) / expected - 1.0).abs() < 0.05,
-                "{axis}: {}",
-                spread(axis)
-            );
+            assert!((spread(axis) / expected - 1.0).abs() < 0.05, "{axis}: {}", spread(axis));
         }
     }
 

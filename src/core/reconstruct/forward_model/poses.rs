@@ -80,10 +80,8 @@ impl ForwardModel<'_> {
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
-            let seen = some
-                .iter()
-                .map(|&view| self.probe(view, how))
-                .collect::<Result<Vec<_>, _>>()?;
+            let seen =
+                some.iter().map(|&view| self.probe(view, how)).collect::<Result<Vec<_>, _>>()?;
             let corrections: Vec<_> = seen.par_iter().map(Probed::correction).collect();
             for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
                 let Some(correction) = correction else {
@@ -139,15 +137,9 @@ impl ForwardModel<'_> {
             let moved = self.views[view].camera_after(&motion.plus(probe), size);
             probed.push(self.render_shaken(view, &moved, how)?);
         }
-        let probed = probed
-            .try_into()
-            .map_err(|_| GpuError::Validation("six probes".to_owned()))?;
-        Ok(Probed {
-            photograph: self.views[view].photograph(size),
-            render,
-            probed,
-            probes,
-        })
+        let probed =
+            probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;
+        Ok(Probed { photograph: self.views[view].photograph(size), render, probed, probes })
     }
 
     fn set_motions(&mut self, motions: impl IntoIterator<Item = Motion>) {

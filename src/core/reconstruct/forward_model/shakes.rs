@@ -22,9 +22,8 @@ impl ForwardModel<'_> {
         let Some(response) = self.shake.as_ref().map(|shake| shake.response().clone()) else {
             return Ok(());
         };
-        let all: Vec<usize> = (0..self.views.len())
-            .filter(|&view| self.views[view].given().has_kernel)
-            .collect();
+        let all: Vec<usize> =
+            (0..self.views.len()).filter(|&view| self.views[view].given().has_kernel).collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
             let mut renders = Vec::with_capacity(some.len());

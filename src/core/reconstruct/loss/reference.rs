@@ -30,20 +30,10 @@ impl ReferenceLoss {
 /// The loss of a prediction against a target, both planar [3, height, width].
 pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> ReferenceLoss {
     let plane = prediction.len() / 3;
-    let mut result = ReferenceLoss {
-        l1: 0.0,
-        squared: 0.0,
-        ssim: 0.0,
-        gradient: Vec::new(),
-    };
+    let mut result = ReferenceLoss { l1: 0.0, squared: 0.0, ssim: 0.0, gradient: Vec::new() };
     for channel in 0..3 {
         let range = channel * plane..(channel + 1) * plane;
-        add_plane(
-            &mut result,
-            &prediction[range.clone()],
-            &target[range],
-            width,
-        );
+        add_plane(&mut result, &prediction[range.clone()], &target[range], width);
     }
     let n = prediction.len() as f64;
     result.l1 /= n;
@@ -58,14 +48,8 @@ pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> ReferenceLoss {
 /// Adds the sums and appends the gradient of one channel, not yet divided by the number of values.
 fn add_plane(result: &mut ReferenceLoss, x: &[f64], y: &[f64], width: usize) {
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
-    let means = [
-        x.to_vec(),
-        y.to_vec(),
-        product(x, x),
-        product(y, y),
-        product(x, y),
-    ]
-    .map(|f| blur(&f, width));
+    let means = [x.to_vec(), y.to_vec(), product(x, x), product(y, y), product(x, y)]
+        .map(|f| blur(&f, width));
     let mut derivatives = [vec![0.0; x.len()], vec![0.0; x.len()], vec![0.0; x.len()]];
     for i in 0..x.len() {
         let (similarity, by) = similarity([0, 1, 2, 3, 4].map(|k: usize| means[k][i]));
@@ -82,9 +66,7 @@ fn add_plane(result: &mut ReferenceLoss, x: &[f64], y: &[f64], width: usize) {
         result.squared += error * error;
         let sign = if error == 0.0 { 0.0 } else { error.signum() };
         let similarity = by_mean[i] + 2.0 * x[i] * by_square[i] + y[i] * by_product[i];
-        result
-            .gradient
-            .push(L1_SHARE * sign - SSIM_SHARE * similarity);
+        result.gradient.push(L1_SHARE * sign - SSIM_SHARE * similarity);
     }
 }
 
@@ -106,17 +88,11 @@ fn blur(plane: &[f64], width: usize) -> Vec<f64> {
     let along = |input: &[f64], step: (isize, isize)| -> Vec<f64> {
         let at = |x: isize, y: isize| {
             let inside = (0..width as isize).contains(&x) && (0..height as isize).contains(&y);
-            if inside {
-                input[y as usize * width + x as usize]
-            } else {
-                0.0
-            }
+            if inside { input[y as usize * width + x as usize] } else { 0.0 }
         };
         let value = |i: usize| {
             let (x, y) = ((i % width) as isize, (i / width) as isize);
-            (-RADIUS..=RADIUS)
-                .map(|k| weight(k) / total * at(x + k * step.0, y + k * step.1))
-                .sum()
+            (-RADIUS..=RADIUS).map(|k| weight(k) / total * at(x + k * step.0, y + k * step.1)).sum()
         };
         (0..input.len()).map(value).collect()
     };
@@ -132,9 +108,7 @@ mod tests {
     const HEIGHT: usize = 9;
 
     fn waves(frequency: f64) -> Vec<f64> {
-        (0..3 * WIDTH * HEIGHT)
-            .map(|i| 0.5 + 0.45 * (frequency * (i as f64 + 1.0)).sin())
-            .collect()
+        (0..3 * WIDTH * HEIGHT).map(|i| 0.5 + 0.45 * (frequency * (i as f64 + 1.0)).sin()).collect()
     }
 
     #[test]

@@ -15,10 +15,7 @@ fn pictures(width: usize, height: usize) -> (Image, Image) {
             .collect()
     };
     let target = Image::from_planar(width, height, values(0.31, 0.17));
-    (
-        Image::from_planar(width, height, values(0.29, 0.19)),
-        target,
-    )
+    (Image::from_planar(width, height, values(0.29, 0.19)), target)
 }
 
 /// Gradient and value by the kernels.
@@ -27,12 +24,9 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
     let loss = Loss::with_run(&gpu, target.width(), target.height(), run).expect("buffers");
     let packed = upload_target(&gpu, target).expect("upload");
     let input = gpu.upload("prediction", prediction.data()).expect("upload");
-    let gradient = gpu
-        .create::<f32>("gradient", prediction.data().len())
-        .expect("buffer");
+    let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
     let mut recorder = gpu.recorder();
-    loss.record(&mut recorder, &input, &packed, &gradient)
-        .expect("recorded");
+    loss.record(&mut recorder, &input, &packed, &gradient).expect("recorded");
     recorder.submit().expect("submitted");
     (gradient.read().expect("read"), loss.value().expect("read"))
 }
@@ -86,10 +80,7 @@ fn the_comparison_detects_other_weights() {
 #[test]
 fn the_same_images_give_the_same_bits() {
     let (prediction, target) = pictures(75, 41);
-    let (first, second) = (
-        on_device(&prediction, &target, 8),
-        on_device(&prediction, &target, 8),
-    );
+    let (first, second) = (on_device(&prediction, &target, 8), on_device(&prediction, &target, 8));
     assert_eq!(first.0, second.0);
     assert_eq!(first.1, second.1);
 }
@@ -106,10 +97,8 @@ fn a_short_buffer_is_refused() {
     let gpu = gpu();
     let loss = Loss::new(&gpu, 20, 10).expect("buffers");
     let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
-    let (long, short) = (
-        gpu.create("long", 600).expect("buffer"),
-        gpu.create("short", 599).expect("buffer"),
-    );
+    let (long, short) =
+        (gpu.create("long", 600).expect("buffer"), gpu.create("short", 599).expect("buffer"));
     let mut recorder = gpu.recorder();
     assert!(matches!(
         loss.record(&mut recorder, &short, &target, &long),
@@ -119,9 +108,7 @@ fn a_short_buffer_is_refused() {
 
 #[test]
 fn uniform_and_columns_match_the_shaders() {
-    let (_, found) = SIMILARITY
-        .reflect()
-        .expect("the row agrees with the shader");
+    let (_, found) = SIMILARITY.reflect().expect("the row agrees with the shader");
     let (_, gradient) = GRADIENT.reflect().expect("the row agrees with the shader");
     let layout = found.structure("LossUniform").expect("declared");
     assert_eq!(layout.size as usize, size_of::<LossUniform>());
@@ -130,10 +117,7 @@ fn uniform_and_columns_match_the_shaders() {
         member.unwrap_or_else(|| panic!("no {name}")).1 as usize
     };
     assert_eq!(offset("run"), std::mem::offset_of!(LossUniform, run));
-    assert_eq!(
-        offset("l1_weight"),
-        std::mem::offset_of!(LossUniform, l1_weight)
-    );
+    assert_eq!(offset("l1_weight"), std::mem::offset_of!(LossUniform, l1_weight));
     assert_eq!(offset("values"), std::mem::offset_of!(LossUniform, values));
     assert_eq!(gradient.structure("LossUniform"), Some(layout));
     assert_eq!(found.constant("COLUMNS"), Some(f64::from(COLUMNS)));

@@ -10,13 +10,8 @@ use crate::splat::reference::{
 use crate::splat::rows::sh_row;
 use crate::splat::uniform::CameraUniform;
 
-const SCHEDULE: Schedule = Schedule {
-    steps: 1_000,
-    sh_degree: 3,
-    resolution: false,
-    warm: false,
-    seed: 5,
-};
+const SCHEDULE: Schedule =
+    Schedule { steps: 1_000, sh_degree: 3, resolution: false, warm: false, seed: 5 };
 
 /// Gaussians, projected, with random gradients in their slots.
 struct Bench {
@@ -35,10 +30,7 @@ struct Bench {
 impl Bench {
     fn new(gaussians: Gaussians, degree: u32) -> Self {
         let gpu = fixtures::gpu();
-        let view = Viewpoint {
-            sh_degree: degree,
-            ..fixtures::viewpoint(144, 96)
-        };
+        let view = Viewpoint { sh_degree: degree, ..fixtures::viewpoint(144, 96) };
         let device = DeviceGaussians::upload(gpu, &gaussians, 0).expect("uploaded");
         let projection = Projection::new(gpu, gaussians.len()).expect("created");
         let camera = CameraUniform::new(
@@ -60,15 +52,15 @@ impl Bench {
             let mut sum = [0.0; SLOT_ROW];
             for _ in 0..count {
                 let row = [0; SLOT_ROW].map(|_| random.signed() as f32);
-                sum.iter_mut()
-                    .zip(row)
-                    .for_each(|(s, v)| *s += f64::from(v));
+                sum.iter_mut().zip(row).for_each(|(s, v)| *s += f64::from(v));
                 rows.push(row);
             }
             let splat = project(&Splat::from_gaussians(&gaussians, upstream.len()), &view);
-            upstream.push(splat.map_or_else(ProjectedGradient::default, |p| {
-                gradient(&sum, p.conic, p.opacity)
-            }));
+            upstream.push(
+                splat.map_or_else(ProjectedGradient::default, |p| {
+                    gradient(&sum, p.conic, p.opacity)
+                }),
+            );
         }
         let slots = rows.len() as u32;
         let uploaded = SlotRows::new(gpu, slots as usize).expect("created");
@@ -88,50 +80,30 @@ impl Bench {
     }
 
     fn step(&self, kernel: &Kernel, uniform: StepUniform) {
-        let uniform = StepUniform {
-            total_at: 1,
-            capacity: self.slots,
-            ..uniform
-        };
+        let uniform = StepUniform { total_at: 1, capacity: self.slots, ..uniform };
         self.optimizer.step.write(&[uniform]).expect("written");
-        let slots = SlotGradients {
-            slot_offsets: &self.offsets,
-            rows: &self.rows,
-            totals: &self.totals,
-        };
+        let slots =
+            SlotGradients { slot_offsets: &self.offsets, rows: &self.rows, totals: &self.totals };
         let mut recorder = fixtures::gpu().recorder();
         let optimizer = &self.optimizer;
         optimizer
-            .record_as(
-                kernel,
-                &mut recorder,
-                &self.device,
-                &self.projection,
-                &slots,
-            )
+            .record_as(kernel, &mut recorder, &self.device, &self.projection, &slots)
             .expect("recorded");
         recorder.submit().expect("submitted");
     }
 
     /// The kernel's gradients: mean, log-scale, quaternion, logit, harmonics, by Gaussian.
     fn gradients(&self) -> Vec<Vec<f64>> {
-        self.step(
-            &PROJECT_BACKWARD_ADAM.with(&[("WRITE_GRADIENTS", 1)]),
-            StepUniform::default(),
-        );
+        self.step(&PROJECT_BACKWARD_ADAM.with(&[("WRITE_GRADIENTS", 1)]), StepUniform::default());
         let count = self.gaussians.len();
         let geometry = self.optimizer.read_geometry_moments(count).expect("read");
         let sh = self.optimizer.sh_moments.read(count).expect("read");
-        let (row, stride) = (
-            3 * self.gaussians.coefficients(),
-            2 * sh_row(self.gaussians.sh_degree),
-        );
+        let (row, stride) =
+            (3 * self.gaussians.coefficients(), 2 * sh_row(self.gaussians.sh_degree));
         (0..self.gaussians.len())
             .map(|i| {
                 let head = geometry[i].first.iter();
-                head.chain(&sh[stride * i..stride * i + row])
-                    .map(|v| f64::from(*v))
-                    .collect()
+                head.chain(&sh[stride * i..stride * i + row]).map(|v| f64::from(*v)).collect()
             })
             .collect()
     }
@@ -150,42 +122,24 @@ fn gradients_of_every_parameter_match_the_reference() {
             .collect();
         let harmonics = column::HARMONICS..column::HARMONICS + 3 * 16;
         let opacity = column::OPACITY_LOGIT..column::OPACITY_LOGIT + 1;
-        for range in [
-            column::MEAN,
-            column::LOG_SCALE,
-            column::QUAT,
-            opacity,
-            harmonics,
-        ] {
+        for range in [column::MEAN, column::LOG_SCALE, column::QUAT, opacity, harmonics] {
             let pick = |rows: &[Vec<f64>]| {
-                rows.iter()
-                    .flat_map(|r| r[range.clone()].to_vec())
-                    .collect::<Vec<_>>()
+                rows.iter().flat_map(|r| r[range.clone()].to_vec()).collect::<Vec<_>>()
             };
             let (a, b) = (pick(&found), pick(&expected));
             let size = b.iter().map(|v| v.abs()).sum::<f64>() / b.len() as f64;
             assert!(size > 0.0, "{range:?} has a gradient");
-            assert!(
-                relative_l2(&a, &b) <= 1e-3,
-                "{degree} {range:?}: {}",
-                relative_l2(&a, &b)
-            );
+            assert!(relative_l2(&a, &b) <= 1e-3, "{degree} {range:?}: {}", relative_l2(&a, &b));
             assert!(cosine(&a, &b) >= 0.9999);
-            let outliers = a
-                .iter()
-                .zip(&b)
-                .filter(|(x, y)| (*x - *y).abs() > 1e-3 * (size + y.abs()))
-                .count();
+            let outliers =
+                a.iter().zip(&b).filter(|(x, y)| (*x - *y).abs() > 1e-3 * (size + y.abs())).count();
             assert!(
                 outliers as f64 <= 0.005 * a.len() as f64,
                 "{degree} {range:?}: {outliers} of {}",
                 a.len()
             );
             let bias: f64 = a.iter().zip(&b).map(|(x, y)| x - y).sum::<f64>() / b.len() as f64;
-            assert!(
-                bias.abs() <= 1e-3 * size,
-                "{range:?}: bias {bias}, size {size}"
-            );
+            assert!(bias.abs() <= 1e-3 * size, "{range:?}: bias {bias}, size {size}");
         }
     }
 }
@@ -241,47 +195,22 @@ fn non_finite_gradients_are_dropped_and_counted() {
     let visible: Vec<_> = (0..50).filter(|&i| counts[i] > 0).collect();
     let offsets = bench.offsets.read().expect("read");
     let first = |n: usize| offsets[visible[n]] as usize;
-    bench
-        .rows
-        .moments
-        .write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]])
-        .expect("written");
-    bench
-        .rows
-        .colours
-        .write_at(first(3), &[[0.0, 0.0, f32::INFINITY, 0.0]])
-        .expect("written");
-    bench
-        .rows
-        .colours
-        .write_at(first(5), &[[0.0, 0.0, 0.0, 1e30]])
-        .expect("written");
+    bench.rows.moments.write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]]).expect("written");
+    bench.rows.colours.write_at(first(3), &[[0.0, 0.0, f32::INFINITY, 0.0]]).expect("written");
+    bench.rows.colours.write_at(first(5), &[[0.0, 0.0, 0.0, 1e30]]).expect("written");
     let before = bench.device.download().expect("read");
-    bench.step(
-        &PROJECT_BACKWARD_ADAM,
-        StepUniform::new(&SCHEDULE, 0, 50, 1.0, true),
-    );
+    bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");
     assert_eq!(bench.optimizer.counters.read().expect("read")[0], 3);
     for &i in &[visible[0], visible[3], visible[5]] {
         assert_eq!(before.means[i], after.means[i]);
     }
     assert_ne!(before.means[visible[1]], after.means[visible[1]]);
-    let moments = bench
-        .optimizer
-        .geometry_moments
-        .read(bench.gaussians.len())
-        .expect("read");
+    let moments = bench.optimizer.geometry_moments.read(bench.gaussians.len()).expect("read");
     assert!(
         moments
             .iter()
-            .chain(
-                &bench
-                    .optimizer
-                    .sh_moments
-                    .read(bench.gaussians.len())
-                    .expect("read")
-            )
+            .chain(&bench.optimizer.sh_moments.read(bench.gaussians.len()).expect("read"))
             .all(|v| v.is_finite())
     );
 }
@@ -290,10 +219,7 @@ fn non_finite_gradients_are_dropped_and_counted() {
 fn a_step_whose_slots_overflowed_changes_nothing() {
     let bench = Bench::new(fixtures::gaussians(50, 1, 9), 1);
     bench.totals.write(&[0, bench.slots + 1]).expect("written");
-    bench.step(
-        &PROJECT_BACKWARD_ADAM,
-        StepUniform::new(&SCHEDULE, 0, 50, 1.0, true),
-    );
+    bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     assert_eq!(bench.device.download().expect("read"), bench.gaussians);
     assert!(
         bench
@@ -341,28 +267,11 @@ fn the_step_uniform_has_the_shaders_layout() {
     let (_, found) = PROJECT_BACKWARD_ADAM.reflect().expect("valid");
     let step = found.structure("StepUniform").expect("declared");
     assert_eq!(step.size as usize, size_of::<StepUniform>());
-    let offset = |name: &str| {
-        step.members
-            .iter()
-            .find(|m| m.0 == name)
-            .map(|m| m.1 as usize)
-    };
-    assert_eq!(
-        offset("rate_sh0"),
-        Some(std::mem::offset_of!(StepUniform, rate_sh0))
-    );
-    assert_eq!(
-        offset("opacity_weight"),
-        Some(std::mem::offset_of!(StepUniform, opacity_weight))
-    );
-    assert_eq!(
-        offset("noise"),
-        Some(std::mem::offset_of!(StepUniform, noise))
-    );
-    assert_eq!(
-        offset("total_at"),
-        Some(std::mem::offset_of!(StepUniform, total_at))
-    );
+    let offset = |name: &str| step.members.iter().find(|m| m.0 == name).map(|m| m.1 as usize);
+    assert_eq!(offset("rate_sh0"), Some(std::mem::offset_of!(StepUniform, rate_sh0)));
+    assert_eq!(offset("opacity_weight"), Some(std::mem::offset_of!(StepUniform, opacity_weight)));
+    assert_eq!(offset("noise"), Some(std::mem::offset_of!(StepUniform, noise)));
+    assert_eq!(offset("total_at"), Some(std::mem::offset_of!(StepUniform, total_at)));
     let (beta_m, beta_v) = (found.constant("BETA_M"), found.constant("BETA_V"));
     assert!((beta_m.expect("declared") - BETA_M).abs() < 1e-6);
     assert!((beta_v.expect("declared") - BETA_V).abs() < 1e-6);

@@ -15,11 +15,7 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
     };
     let stops = [25, 60, 125];
     resumes(&views, &scene, &config, &stops);
-    let classic = TrainConfig {
-        densify: Densify::Classic,
-        shake: None,
-        ..config
-    };
+    let classic = TrainConfig { densify: Densify::Classic, shake: None, ..config };
     resumes(&views, &scene, &classic, &stops);
 }
 
@@ -27,10 +23,7 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
 fn a_round_with_a_noise_field_resumes_to_the_same_bytes() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [13, 12]);
-    let config = TrainConfig {
-        noise: NoiseMode::Paper,
-        ..config(110, 100)
-    };
+    let config = TrainConfig { noise: NoiseMode::Paper, ..config(110, 100) };
     // The noise map is inspected after 100 steps.
     resumes(&views, &scene, &config, &[50, 100]);
 }
@@ -40,15 +33,11 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig, stop
     let undisturbed = trained(views, start(views, scene, config), config);
     for &stop in stops {
         let begin = start(views, scene, config);
-        let checkpoint = trainer::Trainer::new(gpu, views, begin, config)
-            .expect("made")
-            .frozen_at(stop);
+        let checkpoint =
+            trainer::Trainer::new(gpu, views, begin, config).expect("made").frozen_at(stop);
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
         let resumed = trained(views, TrainStart::Resume(thawed), config);
-        assert!(
-            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
-            "stopped at {stop}"
-        );
+        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     }
 }
@@ -72,10 +61,7 @@ fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
         let resumed = trained(&views, TrainStart::Resume(thawed), &config);
         assert!(checkpoint.seconds > 0.0 && resumed.seconds > checkpoint.seconds);
-        assert!(
-            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
-            "stopped at {stop}"
-        );
+        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     };
     // No checkpoint is due by the clock.
@@ -134,10 +120,7 @@ fn a_round_stopped_at_an_overflow_resumes_to_the_same_bytes() {
         let kept = begin().stopped_at(stop, false).remove(0);
         went_on += kept.step - stop;
         let resumed = trained(&views, TrainStart::Resume(kept), &config);
-        assert!(
-            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
-            "stopped at {stop}"
-        );
+        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
     }
     assert!(went_on > 0, "no step had to be repeated");
 }
@@ -179,29 +162,13 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
     let mut refused = |views: &[TrainingView], start| {
         train(fixtures::gpu(), views, start, &plain, &mut hooks).expect_err("refused")
     };
-    assert!(matches!(
-        refused(&[], begin.clone()),
-        ReconstructError::Empty { views: 0, .. }
-    ));
-    let nothing = TrainStart::Fresh(Gaussians {
-        sh_degree: 1,
-        ..Gaussians::default()
-    });
-    assert!(matches!(
-        refused(&views, nothing),
-        ReconstructError::Empty { gaussians: 0, .. }
-    ));
-    let other = TrainConfig {
-        seed: 99,
-        ..plain.clone()
-    };
-    let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other)
-        .expect("made")
-        .frozen_at(25);
-    assert!(matches!(
-        refused(&views, TrainStart::Resume(foreign)),
-        ReconstructError::OtherRound
-    ));
+    assert!(matches!(refused(&[], begin.clone()), ReconstructError::Empty { views: 0, .. }));
+    let nothing = TrainStart::Fresh(Gaussians { sh_degree: 1, ..Gaussians::default() });
+    assert!(matches!(refused(&views, nothing), ReconstructError::Empty { gaussians: 0, .. }));
+    let other = TrainConfig { seed: 99, ..plain.clone() };
+    let foreign =
+        trainer::Trainer::new(fixtures::gpu(), &views, begin, &other).expect("made").frozen_at(25);
+    assert!(matches!(refused(&views, TrainStart::Resume(foreign)), ReconstructError::OtherRound));
 }
 
 #[test]
@@ -209,9 +176,7 @@ fn a_round_in_parts_equals_the_whole_round() {
     let scene = truth(200, 11);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = config(60, 300);
-    let TrainStart::Fresh(first) = start(&views, &scene, &config) else {
-        panic!("fresh")
-    };
+    let TrainStart::Fresh(first) = start(&views, &scene, &config) else { panic!("fresh") };
     let whole = trained(&views, TrainStart::Fresh(first.clone()), &config);
     let mut stepper =
         Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
@@ -219,17 +184,10 @@ fn a_round_in_parts_equals_the_whole_round() {
     for part in [1, 24, 30, 2] {
         stepper.advance(part, &cancel).expect("trains");
     }
-    assert_ne!(
-        bytes(&stepper.gaussians()),
-        bytes(&whole.gaussians),
-        "three steps are missing"
-    );
+    assert_ne!(bytes(&stepper.gaussians()), bytes(&whole.gaussians), "three steps are missing");
     stepper.advance(1_000, &cancel).expect("trains");
     assert_eq!(bytes(&stepper.gaussians()), bytes(&whole.gaussians));
     assert!(stepper.counts().expect("read").intersections > 0);
     cancel.cancel();
-    assert!(matches!(
-        stepper.advance(1, &cancel),
-        Err(ReconstructError::Cancelled(_))
-    ));
+    assert!(matches!(stepper.advance(1, &cancel), Err(ReconstructError::Cancelled(_))));
 }

@@ -80,11 +80,8 @@ impl Trainer<'_> {
             && let Some(depth) = self.config.refine_poses
         {
             let begun = Instant::now();
-            let how = Correction {
-                depth,
-                degree,
-                is_coarse: !self.schedule.refines_poses_last(step),
-            };
+            let how =
+                Correction { depth, degree, is_coarse: !self.schedule.refines_poses_last(step) };
             self.model.refine_poses(how, cancel)?;
             self.seconds_between.cameras += begun.elapsed().as_secs_f64();
         }
@@ -115,10 +112,7 @@ impl Trainer<'_> {
         let dropped = u64::from(self.optimizer.counters.read()?[0]);
         let updates = f64::from(self.config.steps) * self.model.pass.gaussians.count as f64;
         if dropped as f64 > NON_FINITE_LIMIT * updates {
-            return Err(ReconstructError::NotFinite {
-                dropped,
-                step: self.next,
-            });
+            return Err(ReconstructError::NotFinite { dropped, step: self.next });
         }
         Ok(())
     }
@@ -134,9 +128,8 @@ impl Trainer<'_> {
         let seen = noise.inspect(clean, &self.prediction)?;
         if seen.halved {
             let correlation = seen.correlation;
-            self.warnings.push(format!(
-                "noise map follows the scene ({correlation:.2}): bound halved"
-            ));
+            self.warnings
+                .push(format!("noise map follows the scene ({correlation:.2}): bound halved"));
         }
         self.noise_seen.push(NoiseMapStatistics {
             mean: seen.mean,

@@ -37,9 +37,7 @@ impl Trainer<'_> {
             let densifications = self.schedule.densifications();
             densify::grown(count, self.start_count, self.config.cap, densifications)
         };
-        let random = &mut self
-            .schedule
-            .generator(Stream::Densification, u64::from(step));
+        let random = &mut self.schedule.generator(Stream::Densification, u64::from(step));
         let plan = densify::plan(rows, target, random);
         let gaussians = &mut self.model.pass.gaussians;
         self.optimizer.relocate(self.gpu, gaussians, &plan)?;
@@ -57,18 +55,13 @@ impl Trainer<'_> {
             }
         }
         let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
-        let moments: Vec<_> = after
-            .iter()
-            .map(|one| moments_after(one, &moments))
-            .collect();
+        let moments: Vec<_> = after.iter().map(|one| moments_after(one, &moments)).collect();
         let gaussians = &mut self.model.pass.gaussians;
         gaussians.geometry.write(bytemuck::cast_slice(&geometry))?;
         let geometry_moments = &self.optimizer.geometry_moments;
         geometry_moments.write(bytemuck::cast_slice(&moments))?;
         hand_down(&gaussians.sh, rows.len(), &after, |_| true)?;
-        hand_down(&self.optimizer.sh_moments, rows.len(), &after, |one| {
-            !one.new
-        })?;
+        hand_down(&self.optimizer.sh_moments, rows.len(), &after, |one| !one.new)?;
         gaussians.count = after.len();
         Ok(())
     }
@@ -101,9 +94,7 @@ impl Trainer<'_> {
             self.config.cap,
             self.config.extent,
             self.config.warm || step > classic::RESET_EVERY,
-            &mut self
-                .schedule
-                .generator(Stream::Densification, u64::from(step)),
+            &mut self.schedule.generator(Stream::Densification, u64::from(step)),
         )
     }
 }
@@ -113,11 +104,7 @@ fn moments_after(one: &classic::Descendant, moments: &[GeometryMoments]) -> Geom
     if one.new {
         return GeometryMoments::default();
     }
-    GeometryMoments {
-        gradient_lengths: 0.0,
-        gradient_views: 0.0,
-        ..moments[one.source]
-    }
+    GeometryMoments { gradient_lengths: 0.0, gradient_views: 0.0, ..moments[one.source] }
 }
 
 /// Copies to each descendant the row of its source among the first `count`, or zeros if it does not

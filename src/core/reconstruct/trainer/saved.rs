@@ -23,10 +23,7 @@ impl Trainer<'_> {
             geometry_moments: self.optimizer.geometry_moments.read(count)?,
             sh: gaussians.sh.read(count)?,
             sh_moments: self.optimizer.sh_moments.read(count)?,
-            noise: self
-                .noise
-                .as_ref()
-                .map_or(Ok(Vec::new()), NoiseField::save)?,
+            noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
             shake: self.model.save_kernels(),
             motions: self.model.save_motions(),
         })
@@ -36,9 +33,7 @@ impl Trainer<'_> {
         if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
             return Err(ReconstructError::OtherRound);
         }
-        self.optimizer
-            .geometry_moments
-            .write(&checkpoint.geometry_moments)?;
+        self.optimizer.geometry_moments.write(&checkpoint.geometry_moments)?;
         self.optimizer.sh_moments.write(&checkpoint.sh_moments)?;
         self.optimizer.counters.write(&[checkpoint.non_finite])?;
         if let Some(noise) = &mut self.noise {
@@ -55,9 +50,7 @@ impl Trainer<'_> {
         self.set_level(divisor)?;
         self.model.restore_kernels(&checkpoint.shake)?;
         self.model.restore_motions(&checkpoint.motions)?;
-        self.model
-            .pass
-            .set_room(checkpoint.intersections as usize)?;
+        self.model.pass.set_room(checkpoint.intersections as usize)?;
         Ok(())
     }
 

@@ -91,15 +91,13 @@ impl Trainer<'_> {
             shake.record_backward(&mut recorder, kernel, &buffers.image, &self.gradient)?;
             by_render = shake.render_gradient();
         }
-        self.backward
-            .record(&mut recorder, &pass.projection, buffers, by_render)?;
+        self.backward.record(&mut recorder, &pass.projection, buffers, by_render)?;
         let slots = SlotGradients {
             slot_offsets: &buffers.slot_offsets,
             rows: &buffers.slots,
             totals: buffers.totals().0,
         };
-        self.optimizer
-            .record(&mut recorder, &pass.gaussians, &pass.projection, &slots)?;
+        self.optimizer.record(&mut recorder, &pass.gaussians, &pass.projection, &slots)?;
         Ok(recorder)
     }
 

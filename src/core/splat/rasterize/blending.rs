@@ -73,22 +73,14 @@ impl Specialisation {
         };
         // It must divide the workgroup.
         let subgroup = known.filter(|size| *size <= TILE * TILE / pixels);
-        Self {
-            pixels,
-            subgroup,
-            walks,
-        }
+        Self { pixels, subgroup, walks }
     }
 
     /// Number of splats between two reductions: as many as fit into 32 KiB of workgroup memory, and
     /// at most one per invocation.
     fn group(self) -> u32 {
         let width = TILE * TILE / self.pixels;
-        if self.subgroup.is_none() && width >= 64 {
-            8
-        } else {
-            16
-        }
+        if self.subgroup.is_none() && width >= 64 { 8 } else { 16 }
     }
 
     pub(super) fn forward(self) -> Kernel {
@@ -105,9 +97,7 @@ impl Specialisation {
             Some(size) if self.walks => {
                 RASTERIZE_BACKWARD_WALK.with(&[("PIXELS", self.pixels), ("SUBGROUP", size)])
             }
-            Some(size) => RASTERIZE_BACKWARD
-                .with(&constants)
-                .with(&[("SUBGROUP", size)]),
+            Some(size) => RASTERIZE_BACKWARD.with(&constants).with(&[("SUBGROUP", size)]),
             None => RASTERIZE_BACKWARD_GENERIC.with(&constants),
         }
     }

@@ -8,11 +8,7 @@ use crate::splat::sort::{BLOCK, Counters, SCAN};
 
 pub(super) const COUNT_VISIBLE: Kernel = Kernel::new(
     "splat/count_visible",
-    &[
-        uniform("camera"),
-        read("tile_counts"),
-        read_write("block_sums"),
-    ],
+    &[uniform("camera"), read("tile_counts"), read_write("block_sums")],
 );
 pub(super) const COMPACT_VISIBLE: Kernel = Kernel::new(
     "splat/compact_visible",
@@ -95,21 +91,12 @@ fn sort_by_depth(
     let counters = &buffers.counters;
     recorder.dispatch_groups(
         &COUNT_VISIBLE,
-        &[
-            &projection.camera,
-            &projection.tile_counts,
-            &buffers.block_sums,
-        ],
+        &[&projection.camera, &projection.tile_counts, &buffers.block_sums],
         blocks,
     )?;
     recorder.dispatch(
         &SCAN,
-        &[
-            &buffers.scan_visible,
-            &counters.values,
-            &buffers.block_sums,
-            &counters.arguments,
-        ],
+        &[&buffers.scan_visible, &counters.values, &buffers.block_sums, &counters.arguments],
         [1, 1, 1],
     )?;
     recorder.dispatch_groups(
@@ -136,24 +123,13 @@ fn assign_slots(
     let order = buffers.depth.sorted_payloads();
     recorder.dispatch_indirect(
         &COUNT_SLOTS,
-        &[
-            &buffers.visible,
-            &counters.values,
-            order,
-            &projection.tile_counts,
-            &buffers.slot_sums,
-        ],
+        &[&buffers.visible, &counters.values, order, &projection.tile_counts, &buffers.slot_sums],
         &counters.arguments,
         Counters::blocks(VISIBLE),
     )?;
     recorder.dispatch(
         &SCAN,
-        &[
-            &buffers.scan_slots,
-            &counters.values,
-            &buffers.slot_sums,
-            &counters.arguments,
-        ],
+        &[&buffers.scan_slots, &counters.values, &buffers.slot_sums, &counters.arguments],
         [1, 1, 1],
     )?;
     recorder.dispatch_indirect(

@@ -38,11 +38,8 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn read(&self) -> Result<Vec<[f32; SLOT_ROW]>, GpuError> {
-        let (colours, moments, tails) = (
-            self.colours.read()?,
-            self.moments.read()?,
-            self.tails.read()?,
-        );
+        let (colours, moments, tails) =
+            (self.colours.read()?, self.moments.read()?, self.tails.read()?);
         let row = |i: usize| {
             let ([a, b, c, d], [e, f, g, h]) = (colours[i], moments[i]);
             [a, b, c, d, e, f, g, h, tails[i]]

@@ -40,9 +40,7 @@ struct Case {
 impl Case {
     fn new(gaussians: Gaussians, width: usize, height: usize) -> Self {
         let mut random = Random::new(5);
-        let image_gradient = (0..3 * width * height)
-            .map(|_| random.signed() as f32)
-            .collect();
+        let image_gradient = (0..3 * width * height).map(|_| random.signed() as f32).collect();
         Self {
             gaussians,
             width,
@@ -73,23 +71,14 @@ impl Case {
         let image_gradient = gpu.upload("image gradient", &self.image_gradient).unwrap();
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
-        Forward::new(specialisation)
-            .record(&mut recorder, &projection, &buffers)
-            .unwrap();
+        Forward::new(specialisation).record(&mut recorder, &projection, &buffers).unwrap();
         let backward = Backward::new(specialisation);
-        backward
-            .record(&mut recorder, &projection, &buffers, &image_gradient)
-            .unwrap();
+        backward.record(&mut recorder, &projection, &buffers, &image_gradient).unwrap();
         let recording = recorder.finish();
         // Twice: no result may depend on the leftovers of the previous step.
         recording.submit().unwrap();
         recording.submit().unwrap();
-        let tile_counts = projection
-            .tile_counts
-            .start_read(n)
-            .unwrap()
-            .wait()
-            .unwrap();
+        let tile_counts = projection.tile_counts.start_read(n).unwrap().wait().unwrap();
         Run {
             projected: rows(&projection.projected.read().unwrap(), &tile_counts),
             image: buffers.image.read().unwrap(),
@@ -120,9 +109,9 @@ impl Run {
                 let row = &self.rows[self.slot_offsets[g] as usize + k];
                 (0..SLOT_ROW).for_each(|i| sum[i] += f64::from(row[i]));
             }
-            self.projected[g].as_ref().map_or([0.0; SLOT_ROW], |p| {
-                flat(&gradient(&sum, p.conic, p.opacity))
-            })
+            self.projected[g]
+                .as_ref()
+                .map_or([0.0; SLOT_ROW], |p| flat(&gradient(&sum, p.conic, p.opacity)))
         };
         (0..self.tile_counts.len()).map(sum).collect()
     }
@@ -138,23 +127,16 @@ fn specialisations() -> Vec<Specialisation> {
     let subgroup = Specialisation::for_adapter(fixtures::gpu().describe()).subgroup;
     let plain = |subgroup: Option<u32>| {
         let fits = move |pixels: &u32| subgroup.is_none_or(|size| size <= TILE * TILE / pixels);
-        [4, 8, 16]
-            .into_iter()
-            .filter(fits)
-            .map(move |pixels| Specialisation {
-                pixels,
-                subgroup,
-                walks: false,
-            })
+        [4, 8, 16].into_iter().filter(fits).map(move |pixels| Specialisation {
+            pixels,
+            subgroup,
+            walks: false,
+        })
     };
     let mut all: Vec<_> = plain(None).collect();
     if let Some(size) = subgroup {
         all.extend(plain(subgroup));
-        let walks = Specialisation {
-            pixels: HALF_TILE / size,
-            subgroup,
-            walks: true,
-        };
+        let walks = Specialisation { pixels: HALF_TILE / size, subgroup, walks: true };
         all.extend((walks.pixels >= 4).then_some(walks));
     }
     all
@@ -163,16 +145,8 @@ fn specialisations() -> Vec<Specialisation> {
 #[test]
 fn every_adapter_gets_kernels_that_fit_its_subgroups() {
     let chosen = |device_type, subgroup| {
-        let info = AdapterInfo {
-            device_type,
-            subgroup,
-            ..fixtures::gpu().describe().clone()
-        };
-        let Specialisation {
-            pixels,
-            subgroup,
-            walks,
-        } = Specialisation::for_adapter(&info);
+        let info = AdapterInfo { device_type, subgroup, ..fixtures::gpu().describe().clone() };
+        let Specialisation { pixels, subgroup, walks } = Specialisation::for_adapter(&info);
         (pixels, subgroup, walks)
     };
     let (cpu, card) = (DeviceType::Cpu, DeviceType::Discrete);
@@ -195,15 +169,8 @@ fn chosen() -> Specialisation {
 fn image_and_transmittance_match_the_reference_at_odd_sizes() {
     let scene = Case::new(fixtures::gaussians(1500, 1, 3), 141, 93);
     let run = scene.run(chosen());
-    assert!(
-        run.counts.visible > 500 && !run.counts.overflowed(),
-        "{:?}",
-        run.counts
-    );
-    assert_eq!(
-        run.counts.intersections,
-        run.tile_counts.iter().sum::<u32>() as usize
-    );
+    assert!(run.counts.visible > 500 && !run.counts.overflowed(), "{:?}", run.counts);
+    assert_eq!(run.counts.intersections, run.tile_counts.iter().sum::<u32>() as usize);
     let expected = scene.reference(&run);
     mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
     mostly_within(&run.transmittance, &expected.transmittance, 1e-4, 1e-3).unwrap();
@@ -227,10 +194,8 @@ fn gradients_match_the_reference_in_every_column() {
 #[test]
 fn image_and_gradients_over_a_background_match_the_reference() {
     let black = Case::new(fixtures::gaussians(60, 0, 3), 96, 64);
-    let scene = Case {
-        background: [0.9, 0.2, 0.6],
-        ..Case::new(fixtures::gaussians(60, 0, 3), 96, 64)
-    };
+    let scene =
+        Case { background: [0.9, 0.2, 0.6], ..Case::new(fixtures::gaussians(60, 0, 3), 96, 64) };
     let run = scene.run(chosen());
     let expected = scene.reference(&run);
     mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
@@ -241,11 +206,7 @@ fn image_and_gradients_over_a_background_match_the_reference() {
     let opacity =
         |of: &dyn Fn(usize) -> f64| (0..run.tile_counts.len()).map(of).collect::<Vec<_>>();
     let found = run.gradients();
-    gradients_agree(
-        &opacity(&|i| found[i][8]),
-        &opacity(&|i| expected[i].opacity),
-    )
-    .unwrap();
+    gradients_agree(&opacity(&|i| found[i][8]), &opacity(&|i| expected[i].opacity)).unwrap();
 }
 
 #[test]
@@ -254,20 +215,13 @@ fn all_specialisations_agree() {
     let first = scene.run(chosen());
     let image: Vec<_> = first.image.iter().map(|&v| f64::from(v)).collect();
     let gradients = first.gradients();
-    let largest = gradients
-        .iter()
-        .flatten()
-        .fold(0.0_f64, |a, &v| a.max(v.abs()));
+    let largest = gradients.iter().flatten().fold(0.0_f64, |a, &v| a.max(v.abs()));
     for specialisation in specialisations() {
         let run = scene.run(specialisation);
         mostly_within(&run.image, &image, 1e-5, 0.0)
             .unwrap_or_else(|why| panic!("{specialisation:?}: {why}"));
-        let found: Vec<_> = run
-            .gradients()
-            .iter()
-            .flatten()
-            .map(|&v| (v / largest) as f32)
-            .collect();
+        let found: Vec<_> =
+            run.gradients().iter().flatten().map(|&v| (v / largest) as f32).collect();
         let expected: Vec<_> = gradients.iter().flatten().map(|&v| v / largest).collect();
         mostly_within(&found, &expected, 1e-5, 0.0)
             .unwrap_or_else(|why| panic!("{specialisation:?}: {why}"));
@@ -284,24 +238,13 @@ fn the_same_input_gives_the_same_bits() {
     assert!(bits(a.rows[..used].as_flattened()) == bits(b.rows[..used].as_flattened()));
     assert!(
         bits(&a.image)
-            != bits(
-                &Case::new(fixtures::gaussians(900, 1, 8), 96, 64)
-                    .run(chosen())
-                    .image
-            )
+            != bits(&Case::new(fixtures::gaussians(900, 1, 8), 96, 64).run(chosen()).image)
     );
 }
 
 #[test]
 fn every_row_of_the_kernel_table_agrees_with_its_shader() {
-    let rows = [
-        COUNT_VISIBLE,
-        COMPACT_VISIBLE,
-        COUNT_SLOTS,
-        ASSIGN_SLOTS,
-        EMIT,
-        TILE_RANGES,
-    ];
+    let rows = [COUNT_VISIBLE, COMPACT_VISIBLE, COUNT_SLOTS, ASSIGN_SLOTS, EMIT, TILE_RANGES];
     for kernel in rows {
         kernel.reflect().unwrap();
     }

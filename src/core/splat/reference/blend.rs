@@ -31,9 +31,7 @@ struct Hit {
 /// Indices of the visible splats by depth, ties by index.
 pub fn depth_order(projected: &[Option<Projected>]) -> Vec<usize> {
     let depth = |i: usize| projected[i].as_ref().map_or(f64::INFINITY, |p| p.depth);
-    let mut order: Vec<_> = (0..projected.len())
-        .filter(|&i| projected[i].is_some())
-        .collect();
+    let mut order: Vec<_> = (0..projected.len()).filter(|&i| projected[i].is_some()).collect();
     order.sort_by(|&a, &b| depth(a).total_cmp(&depth(b)));
     order
 }
@@ -42,14 +40,8 @@ pub fn depth_order(projected: &[Option<Projected>]) -> Vec<usize> {
 fn hits(projected: &[Option<Projected>], order: &[usize], pixel: [usize; 2]) -> (Vec<Hit>, f64) {
     let mut transmittance = 1.0;
     let mut found = Vec::new();
-    for (index, p) in order
-        .iter()
-        .filter_map(|&i| Some((i, projected[i].as_ref()?)))
-    {
-        let offset = [
-            pixel[0] as f64 + 0.5 - p.mean[0],
-            pixel[1] as f64 + 0.5 - p.mean[1],
-        ];
+    for (index, p) in order.iter().filter_map(|&i| Some((i, projected[i].as_ref()?))) {
+        let offset = [pixel[0] as f64 + 0.5 - p.mean[0], pixel[1] as f64 + 0.5 - p.mean[1]];
         let [a, b, c] = p.conic;
         let exponent = 0.5 * (a * offset[0] * offset[0] + c * offset[1] * offset[1])
             + b * offset[0] * offset[1];
@@ -62,12 +54,7 @@ fn hits(projected: &[Option<Projected>], order: &[usize], pixel: [usize; 2]) -> 
             break;
         }
         transmittance *= 1.0 - alpha;
-        found.push(Hit {
-            index,
-            alpha,
-            weight,
-            offset,
-        });
+        found.push(Hit { index, alpha, weight, offset });
     }
     (found, transmittance)
 }
@@ -76,12 +63,8 @@ fn hits(projected: &[Option<Projected>], order: &[usize], pixel: [usize; 2]) -> 
 pub fn blend(projected: &[Option<Projected>], width: usize, height: usize) -> Blended {
     let order = depth_order(projected);
     let pixels = width * height;
-    let mut out = Blended {
-        width,
-        height,
-        image: vec![0.0; 3 * pixels],
-        transmittance: vec![1.0; pixels],
-    };
+    let mut out =
+        Blended { width, height, image: vec![0.0; 3 * pixels], transmittance: vec![1.0; pixels] };
     for pixel in 0..pixels {
         let (found, left) = hits(projected, &order, [pixel % width, pixel / width]);
         let mut transmittance = 1.0;
@@ -124,11 +107,7 @@ pub fn blend_backward(
         let channels = [0, 1, 2].map(|c| c * pixels + pixel);
         let upstream = channels.map(|i| image_gradient[i]);
         let total = channels.map(|i| blended.image[i]);
-        let (found, _) = hits(
-            projected,
-            &order,
-            [pixel % blended.width, pixel / blended.width],
-        );
+        let (found, _) = hits(projected, &order, [pixel % blended.width, pixel / blended.width]);
         let mut transmittance = 1.0;
         let mut so_far = [0.0; 3];
         for hit in found {

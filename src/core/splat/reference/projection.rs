@@ -59,21 +59,9 @@ pub fn sigmoid(x: f64) -> f64 {
 pub fn rotation(q: [f64; 4]) -> DMat3 {
     let [w, x, y, z] = q;
     DMat3::from_cols(
-        DVec3::new(
-            1.0 - 2.0 * (y * y + z * z),
-            2.0 * (x * y + w * z),
-            2.0 * (x * z - w * y),
-        ),
-        DVec3::new(
-            2.0 * (x * y - w * z),
-            1.0 - 2.0 * (x * x + z * z),
-            2.0 * (y * z + w * x),
-        ),
-        DVec3::new(
-            2.0 * (x * z + w * y),
-            2.0 * (y * z - w * x),
-            1.0 - 2.0 * (x * x + y * y),
-        ),
+        DVec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
+        DVec3::new(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
+        DVec3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
     )
 }
 
@@ -122,11 +110,7 @@ fn intermediate(splat: &Splat, view: &Viewpoint) -> Option<Intermediate> {
     let factor = rotation * DMat3::from_diagonal(scale);
     let covariance = factor * factor.transpose();
     let projected = linear * covariance * linear.transpose();
-    let flat = [
-        projected.x_axis.x + LOW_PASS,
-        projected.x_axis.y,
-        projected.y_axis.y + LOW_PASS,
-    ];
+    let flat = [projected.x_axis.x + LOW_PASS, projected.x_axis.y, projected.y_axis.y + LOW_PASS];
     let determinant = flat[0] * flat[2] - flat[1] * flat[1];
     let usable = determinant.is_finite() && determinant > DETERMINANT_GUARD;
     usable.then(|| Intermediate {
@@ -166,12 +150,7 @@ fn direction(splat: &Splat, view: &Viewpoint) -> (DVec3, f64) {
 fn unclamped_colour(splat: &Splat, view: &Viewpoint, direction: DVec3) -> [f64; 3] {
     let values = basis(direction.to_array());
     let mut colour = [0.5; 3];
-    for (coefficient, value) in splat
-        .sh
-        .iter()
-        .zip(values)
-        .take(coefficients(view.sh_degree))
-    {
+    for (coefficient, value) in splat.sh.iter().zip(values).take(coefficients(view.sh_degree)) {
         for c in 0..3 {
             colour[c] += coefficient[c] * value;
         }
@@ -187,14 +166,8 @@ pub fn project(splat: &Splat, view: &Viewpoint) -> Option<Projected> {
     if limit < 0.0 {
         return None;
     }
-    let extent = [
-        (2.0 * limit * i.flat[0]).sqrt(),
-        (2.0 * limit * i.flat[2]).sqrt(),
-    ];
-    let mean = [
-        k.fx * i.point.x / i.point.z + k.cx,
-        k.fy * i.point.y / i.point.z + k.cy,
-    ];
+    let extent = [(2.0 * limit * i.flat[0]).sqrt(), (2.0 * limit * i.flat[2]).sqrt()];
+    let mean = [k.fx * i.point.x / i.point.z + k.cx, k.fy * i.point.y / i.point.z + k.cy];
     let outside = |axis: usize, size: usize| {
         mean[axis] + extent[axis] <= 0.0 || mean[axis] - extent[axis] >= size as f64
     };
@@ -235,18 +208,10 @@ pub fn project_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGra
 fn conic_backward(i: &Intermediate, by_conic: [f64; 3]) -> DMat3 {
     let [a, b, c] = i.flat;
     let conic = DMat2::from_cols_array(&[c, -b, -b, a]) * (1.0 / i.determinant);
-    let upstream = DMat2::from_cols_array(&[
-        by_conic[0],
-        by_conic[1] / 2.0,
-        by_conic[1] / 2.0,
-        by_conic[2],
-    ]);
+    let upstream =
+        DMat2::from_cols_array(&[by_conic[0], by_conic[1] / 2.0, by_conic[1] / 2.0, by_conic[2]]);
     let flat = conic * upstream * conic * -1.0;
-    DMat3::from_cols(
-        flat.x_axis.extend(0.0),
-        flat.y_axis.extend(0.0),
-        DVec3::ZERO,
-    )
+    DMat3::from_cols(flat.x_axis.extend(0.0), flat.y_axis.extend(0.0), DVec3::ZERO)
 }
 
 fn point_backward(

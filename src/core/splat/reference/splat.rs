@@ -43,10 +43,7 @@ impl Splat {
             log_scale: gaussians.log_scales[index].map(f64::from),
             quat: gaussians.quats[index].map(f64::from),
             opacity_logit: f64::from(gaussians.opacity_logits[index]),
-            sh: sh
-                .chunks_exact(3)
-                .map(|c| [c[0], c[1], c[2]].map(f64::from))
-                .collect(),
+            sh: sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(f64::from)).collect(),
         }
     }
 
@@ -63,12 +60,8 @@ impl Splat {
 
     /// All values in a row: mean, log-scale, quaternion, opacity, harmonics.
     pub fn flatten(&self) -> Vec<f64> {
-        let head = self
-            .mean
-            .iter()
-            .chain(&self.log_scale)
-            .chain(&self.quat)
-            .chain([&self.opacity_logit]);
+        let head =
+            self.mean.iter().chain(&self.log_scale).chain(&self.quat).chain([&self.opacity_logit]);
         head.chain(self.sh.iter().flatten()).copied().collect()
     }
 

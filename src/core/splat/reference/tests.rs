@@ -8,10 +8,8 @@ struct Random(u64);
 
 impl Random {
     fn next(&mut self) -> f64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 11) as f64 / (1u64 << 53) as f64
     }
 
@@ -21,54 +19,31 @@ impl Random {
 }
 
 fn view() -> Viewpoint {
-    let intrinsics = Intrinsics {
-        width: 20,
-        height: 14,
-        fx: 18.0,
-        fy: 17.0,
-        cx: 9.3,
-        cy: 7.6,
-    };
+    let intrinsics = Intrinsics { width: 20, height: 14, fx: 18.0, fy: 17.0, cx: 9.3, cy: 7.6 };
     let camera = Camera::look_at(
         intrinsics,
         DVec3::new(0.4, -0.3, -3.0),
         DVec3::ZERO,
         DVec3::new(0.1, 1.0, 0.0),
     );
-    Viewpoint {
-        camera,
-        sh_degree: 3,
-        near: 0.1,
-    }
+    Viewpoint { camera, sh_degree: 3, near: 0.1 }
 }
 
 fn splats(count: usize, seed: u64) -> Vec<Splat> {
     let mut random = Random(seed);
     (0..count)
         .map(|_| Splat {
-            mean: [
-                1.2 * random.signed(),
-                0.9 * random.signed(),
-                0.8 * random.signed(),
-            ],
+            mean: [1.2 * random.signed(), 0.9 * random.signed(), 0.8 * random.signed()],
             log_scale: [0; 3].map(|_| -1.6 + 0.6 * random.signed()),
             quat: [0; 4].map(|_| random.signed()),
             opacity_logit: random.signed(),
-            sh: (0..16)
-                .map(|_| [0; 3].map(|_| 0.4 * random.signed()))
-                .collect(),
+            sh: (0..16).map(|_| [0; 3].map(|_| 0.4 * random.signed())).collect(),
         })
         .collect()
 }
 
 fn objective(splats: &[Splat], view: &Viewpoint, weights: &[f64]) -> f64 {
-    render(splats, view)
-        .1
-        .image
-        .iter()
-        .zip(weights)
-        .map(|(a, b)| a * b)
-        .sum()
+    render(splats, view).1.image.iter().zip(weights).map(|(a, b)| a * b).sum()
 }
 
 /// Share of values whose analytic gradient differs from the central difference. Cut-offs of alpha
@@ -112,17 +87,10 @@ fn gradients_of_the_whole_render_match_central_differences() {
         all.extend(gradient.flatten());
         expected.extend(numeric_gradient(&splats, index, &view, &weights));
     }
-    assert!(
-        outlier_share(&all, &expected) <= 0.01,
-        "{}",
-        outlier_share(&all, &expected)
-    );
+    assert!(outlier_share(&all, &expected) <= 0.01, "{}", outlier_share(&all, &expected));
     let mut wrong = all.clone();
     wrong.iter_mut().for_each(|v| *v *= 1.01);
-    assert!(
-        outlier_share(&wrong, &expected) > 0.1,
-        "the comparison must be able to fail"
-    );
+    assert!(outlier_share(&wrong, &expected) > 0.1, "the comparison must be able to fail");
 }
 
 #[test]
@@ -190,10 +158,7 @@ fn harmonics_are_orthonormal_over_the_sphere() {
     }
     for (i, row) in sums.iter().enumerate() {
         for (j, sum) in row.iter().enumerate() {
-            assert!(
-                (sum - f64::from(u8::from(i == j))).abs() < 0.06,
-                "{i} {j}: {sum}"
-            );
+            assert!((sum - f64::from(u8::from(i == j))).abs() < 0.06, "{i} {j}: {sum}");
         }
     }
 }

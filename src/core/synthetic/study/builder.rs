@@ -23,11 +23,7 @@ pub(super) struct Builder {
 
 impl Builder {
     pub fn new() -> Self {
-        Self {
-            rng: Pcg64Mcg::seed_from_u64(0x57d1),
-            solids: Vec::new(),
-            salt: 1000,
-        }
+        Self { rng: Pcg64Mcg::seed_from_u64(0x57d1), solids: Vec::new(), salt: 1000 }
     }
 
     pub fn solid(&mut self, shape: Shape, paint: Paint, base: [f64; 3]) -> Solid {

@@ -19,18 +19,8 @@ pub(super) fn shelf(b: &mut Builder) {
         let half = [0.5 * (right - left), 0.02, 0.2];
         b.block([middle, y, 2.62], half, Paint::Wood(0), WALNUT);
     }
-    b.block(
-        [middle, -1.02, 2.6],
-        [1.12, 0.035, 0.24],
-        Paint::Wood(0),
-        WALNUT,
-    );
-    b.block(
-        [middle, 0.2, 2.85],
-        [1.05, 1.2, 0.02],
-        Paint::Wood(1),
-        [0.12, 0.07, 0.04],
-    );
+    b.block([middle, -1.02, 2.6], [1.12, 0.035, 0.24], Paint::Wood(0), WALNUT);
+    b.block([middle, 0.2, 2.85], [1.05, 1.2, 0.02], Paint::Wood(1), [0.12, 0.07, 0.04]);
 }
 
 pub(super) fn books(b: &mut Builder) {
@@ -65,18 +55,8 @@ pub(super) fn books(b: &mut Builder) {
 fn ornament(b: &mut Builder, [x, y, z]: [f64; 3], row: usize) {
     let colour = b.cloth();
     match row % 3 {
-        0 => b.ellipsoid(
-            [x, y - 0.13, z],
-            [0.08, 0.13, 0.08],
-            Paint::Patterned,
-            colour,
-        ),
+        0 => b.ellipsoid([x, y - 0.13, z], [0.08, 0.13, 0.08], Paint::Patterned, colour),
         1 => b.ball([x, y - 0.1, z], 0.1, Paint::Patterned, colour),
-        _ => b.block(
-            [x, y - 0.09, z],
-            [0.07, 0.09, 0.05],
-            Paint::Patterned,
-            colour,
-        ),
+        _ => b.block([x, y - 0.09, z], [0.07, 0.09, 0.05], Paint::Patterned, colour),
     }
 }

@@ -115,9 +115,7 @@ impl Suite {
         let folder = folder_of(path);
         suite.lpips = suite.lpips.map(|lpips| folder.join(lpips));
         place(&mut suite.captures, folder);
-        suite
-            .check()
-            .map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
+        suite.check().map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
         Ok(suite)
     }
 
@@ -128,8 +126,7 @@ impl Suite {
     pub fn with_captures_of(mut self, path: &Path) -> Result<Self, SuiteError> {
         self.captures = parsed(path)?;
         place(&mut self.captures, folder_of(path));
-        self.check()
-            .map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
+        self.check().map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
         Ok(self)
     }
 
@@ -140,10 +137,8 @@ impl Suite {
     pub fn with_assignments(mut self, assignments: &[String]) -> Result<Self, SuiteError> {
         for assignment in assignments {
             let options = self.preset.options().with_assignment(assignment);
-            let options = options.map_err(|error| SuiteError::Options {
-                of: "every run".to_owned(),
-                error,
-            })?;
+            let options = options
+                .map_err(|error| SuiteError::Options { of: "every run".to_owned(), error })?;
             // The value in the option's type.
             let value = serde_json::to_value(options).expect("options are JSON");
             if let Some((key, _)) = assignment.split_once('=') {
@@ -177,8 +172,7 @@ impl Suite {
             self.configurations.retain(|c| wanted.contains(&c.name));
         }
         if !selection.captures.is_empty() {
-            self.captures
-                .retain(|capture| selection.captures.contains(&capture.name));
+            self.captures.retain(|capture| selection.captures.contains(&capture.name));
         }
         self.seeds = selection.seeds.unwrap_or(self.seeds);
         if self.captures.is_empty() {
@@ -244,16 +238,11 @@ impl Suite {
 
     fn check_sets(&self) -> Result<(), String> {
         let captures = self.captures.iter().map(|c| (c.name.as_str(), &c.set));
-        let configurations = self
-            .configurations
-            .iter()
-            .map(|c| (c.name.as_str(), &c.set));
+        let configurations = self.configurations.iter().map(|c| (c.name.as_str(), &c.set));
         let all = [("the suite", &self.set)];
         for (name, set) in all.into_iter().chain(captures).chain(configurations) {
             if set.contains_key("seed") {
-                return Err(format!(
-                    "`set.seed` of `{name}`: seeds are counted by `seeds`"
-                ));
+                return Err(format!("`set.seed` of `{name}`: seeds are counted by `seeds`"));
             }
         }
         Ok(())
@@ -286,10 +275,7 @@ impl Suite {
     }
 
     fn check_materials(&self, of: &Configuration) -> Result<(), String> {
-        let lacking = self
-            .captures
-            .iter()
-            .find(|capture| self.material(capture, of).is_none());
+        let lacking = self.captures.iter().find(|capture| self.material(capture, of).is_none());
         match lacking {
             Some(capture) => Err(format!(
                 "`materials` of `{}`: there is no `{}`, which `{}` is given",
@@ -314,11 +300,7 @@ pub struct Timing<'a> {
 impl Gain {
     /// Its keys and the configurations that they name.
     fn named(&self) -> [(&'static str, &str); 3] {
-        [
-            ("of", &self.of),
-            ("over", &self.over),
-            ("ceiling", &self.ceiling),
-        ]
+        [("of", &self.of), ("over", &self.over), ("ceiling", &self.ceiling)]
     }
 }
 

@@ -86,10 +86,7 @@ impl Records {
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             bytes => bytes.map_err(SuiteError::io(&path))?,
         };
-        let damaged = |detail: String| SuiteError::Record {
-            path: path.clone(),
-            detail,
-        };
+        let damaged = |detail: String| SuiteError::Record { path: path.clone(), detail };
         let record: Record<Outcome<T>> = serde_json::from_slice(&bytes)
             .map_err(|error| damaged(format!("is no record: {error}")))?;
         if record.facts != as_json(facts) {
@@ -109,10 +106,7 @@ impl Records {
         outcome: &Outcome<T>,
     ) -> Result<(), SuiteError> {
         let path = self.file(kind, &Self::name(facts));
-        let record = Record {
-            facts: as_json(facts),
-            outcome,
-        };
+        let record = Record { facts: as_json(facts), outcome };
         let text = serde_json::to_vec_pretty(&record).expect("numbers of a report are finite");
         let partial = path.with_extension(format!("json.{}", std::process::id()));
         let folder = path.parent().unwrap_or(&self.out);
@@ -144,35 +138,20 @@ mod tests {
     fn records_round_trip_and_other_facts_have_none() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let records = Records::new(folder.path());
-        for outcome in [
-            Outcome::Failed("no poses".to_owned()),
-            Outcome::Finished(0.5),
-        ] {
-            records
-                .write(Kind::Run, &facts(1), &outcome)
-                .expect("written");
+        for outcome in [Outcome::Failed("no poses".to_owned()), Outcome::Finished(0.5)] {
+            records.write(Kind::Run, &facts(1), &outcome).expect("written");
             let read = records.read::<f64>(Kind::Run, &facts(1)).expect("readable");
             assert_eq!(read, Some(outcome));
         }
-        assert_eq!(
-            records.read::<f64>(Kind::Run, &facts(2)).expect("none"),
-            None
-        );
-        assert_eq!(
-            records
-                .read::<f64>(Kind::Evaluation, &facts(1))
-                .expect("none"),
-            None
-        );
+        assert_eq!(records.read::<f64>(Kind::Run, &facts(2)).expect("none"), None);
+        assert_eq!(records.read::<f64>(Kind::Evaluation, &facts(1)).expect("none"), None);
     }
 
     #[test]
     fn a_record_of_other_facts_than_its_name_is_refused() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let records = Records::new(folder.path());
-        records
-            .write(Kind::Run, &facts(1), &Outcome::Finished(0.5))
-            .expect("written");
+        records.write(Kind::Run, &facts(1), &Outcome::Finished(0.5)).expect("written");
         let file = |steps| records.file(Kind::Run, &Records::name(&facts(steps)));
         fs::rename(file(1), file(2)).expect("renamed");
         let refused = records.read::<f64>(Kind::Run, &facts(2));

@@ -47,28 +47,15 @@ pub fn run(
     records: &Records,
     hands: Option<Hands<'_>>,
 ) -> Result<Vec<SuiteRun>, SuiteError> {
-    let mut carrier = Carrier {
-        suite,
-        setup,
-        records,
-        hands,
-        made: BTreeMap::new(),
-        due: 0,
-    };
+    let mut carrier = Carrier { suite, setup, records, hands, made: BTreeMap::new(), due: 0 };
     carrier.check()?;
-    let (timed, others): (Vec<_>, Vec<_>) = suite
-        .configurations
-        .iter()
-        .partition(|configuration| configuration.seconds_of.is_some());
+    let (timed, others): (Vec<_>, Vec<_>) =
+        suite.configurations.iter().partition(|configuration| configuration.seconds_of.is_some());
     let mut runs = Vec::new();
     for seed in 0..suite.seeds {
         for configuration in others.iter().chain(&timed) {
             for capture in &suite.captures {
-                let place = Place {
-                    capture,
-                    configuration,
-                    seed,
-                };
+                let place = Place { capture, configuration, seed };
                 carrier.due += 1;
                 let outcome = carrier.judged(place)?;
                 runs.extend(outcome.map(|outcome| SuiteRun {
@@ -137,11 +124,7 @@ impl Carrier<'_, '_> {
     fn check(&self) -> Result<(), SuiteError> {
         for capture in &self.suite.captures {
             for configuration in &self.suite.configurations {
-                let place = Place {
-                    capture,
-                    configuration,
-                    seed: 0,
-                };
+                let place = Place { capture, configuration, seed: 0 };
                 let order = Setup::order(self.suite, capture, configuration, (0, None))?;
                 self.setup.run_facts(&order, &place.title())?;
             }
@@ -166,10 +149,7 @@ impl Carrier<'_, '_> {
             Some(Outcome::Failed(line)) => return Ok(Some(Outcome::Failed(line))),
             None => return Ok(None),
         };
-        let made = Made {
-            name: name.clone(),
-            report: report.clone(),
-        };
+        let made = Made { name: name.clone(), report: report.clone() };
         self.made.insert(place.of(of), made);
         let seen_from = match self.made.get(&place.of(first)) {
             Some(base) => (base.name != name).then(|| base.name.clone()),
@@ -261,9 +241,7 @@ impl Carrier<'_, '_> {
             ..self.evaluation_order(place.capture)
         };
         let facts = self.setup.evaluation_facts(&order, (run, seen_from))?;
-        let folder = self
-            .records
-            .folder(Kind::Evaluation, &Records::name(&facts));
+        let folder = self.records.folder(Kind::Evaluation, &Records::name(&facts));
         let changed = || {
             let same = checksum(&order.truth)? == facts.truth;
             Ok(if same { vec![] } else { vec!["the truth"] })
@@ -294,11 +272,7 @@ impl Carrier<'_, '_> {
         }
         let configurations = self.suite.configurations.len();
         let all = self.suite.captures.len() * configurations * self.suite.seeds as usize;
-        let words: Vec<_> = task
-            .words
-            .iter()
-            .map(|word| word.to_string_lossy())
-            .collect();
+        let words: Vec<_> = task.words.iter().map(|word| word.to_string_lossy()).collect();
         (hands.tell)(&format!("[{}/{all}] {}", self.due, task.title));
         (hands.tell)(&format!("  fled {}", words.join(" ")));
         let outcome = match (hands.start)(&task.words)? {

@@ -177,11 +177,7 @@ impl Setup {
         set.insert("seed".to_owned(), json!(seed));
         set.extend(configuration.set.clone());
         set.extend(steps.map(|steps| ("steps".to_owned(), json!(steps))));
-        Ok(RunOrder {
-            capture: material.to_owned(),
-            preset: suite.preset,
-            set,
-        })
+        Ok(RunOrder { capture: material.to_owned(), preset: suite.preset, set })
     }
 
     /// The facts of a run.
@@ -213,11 +209,7 @@ impl Setup {
         Ok(EvaluationFacts {
             run: run.to_owned(),
             truth: self.known(&order.truth)?,
-            lpips: order
-                .lpips
-                .as_deref()
-                .map(|path| self.known(path))
-                .transpose()?,
+            lpips: order.lpips.as_deref().map(|path| self.known(path)).transpose()?,
             inside: order.inside,
             seen_from: seen_from.map(str::to_owned),
         })
@@ -235,10 +227,7 @@ impl Setup {
         let still = [
             ("the program", checksum(&self.program)? == facts.program),
             ("the capture", checksum(&order.capture)? == facts.capture),
-            (
-                "a network",
-                self.networks(&facts.options)? == facts.networks,
-            ),
+            ("a network", self.networks(&facts.options)? == facts.networks),
         ];
         let changed = still.into_iter().filter(|(_, same)| !same);
         Ok(changed.map(|(what, _)| what).collect())
@@ -249,18 +238,13 @@ impl Setup {
             return Ok(known.clone());
         }
         let found = checksum(path)?;
-        self.known
-            .borrow_mut()
-            .insert(path.to_owned(), found.clone());
+        self.known.borrow_mut().insert(path.to_owned(), found.clone());
         Ok(found)
     }
 
     /// Hash of every network that an option names.
     fn networks(&self, options: &Options) -> Result<BTreeMap<String, String>, SuiteError> {
-        let named = options
-            .networks()
-            .into_iter()
-            .filter(|o| o.choice.is_network());
+        let named = options.networks().into_iter().filter(|o| o.choice.is_network());
         named
             .map(|option| {
                 let wrong = |error| SuiteError::Wrong(format!("`{}`: {error}", option.key));
@@ -277,8 +261,5 @@ impl Setup {
 /// [`SuiteError::Options`].
 fn options(order: &RunOrder, of: &str) -> Result<Options, SuiteError> {
     let options = order.preset.options().with_overrides(&order.set);
-    options.map_err(|error| SuiteError::Options {
-        of: of.to_owned(),
-        error,
-    })
+    options.map_err(|error| SuiteError::Options { of: of.to_owned(), error })
 }

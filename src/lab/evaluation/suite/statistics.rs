@@ -44,23 +44,15 @@ pub enum Measure {
 
 impl Measure {
     /// All measures, in the order of the tables.
-    pub const ALL: [Self; 5] = [
-        Self::PsnrCc,
-        Self::PsnrCcSeen,
-        Self::Ssim,
-        Self::Lpips,
-        Self::Fine,
-    ];
+    pub const ALL: [Self; 5] =
+        [Self::PsnrCc, Self::PsnrCcSeen, Self::Ssim, Self::Lpips, Self::Fine];
 
     /// The value of the measure; `None` if a view has none.
     pub fn of(self, scores: &ViewScores) -> Option<f64> {
         let all = &scores.all;
         match self {
             Self::PsnrCc => Some(all.psnr_cc_db),
-            Self::PsnrCcSeen => scores
-                .seen
-                .as_ref()
-                .map(|Scores { psnr_cc_db, .. }| *psnr_cc_db),
+            Self::PsnrCcSeen => scores.seen.as_ref().map(|Scores { psnr_cc_db, .. }| *psnr_cc_db),
             Self::Ssim => Some(all.ssim),
             Self::Lpips => all.lpips_squeeze,
             Self::Fine => Some(all.psnr_fine_db),
@@ -242,11 +234,7 @@ pub fn reached(of: &Difference, ceiling: &Difference) -> Reached {
         .collect();
     let counting = captures.iter().filter(|capture| capture.counts());
     let shares: Vec<f64> = counting.map(|capture| capture.share).collect();
-    Reached {
-        mean: mean(&shares),
-        interval: interval(&shares),
-        captures,
-    }
+    Reached { mean: mean(&shares), interval: interval(&shares), captures }
 }
 
 /// The mean; `None` without values.

@@ -88,18 +88,12 @@ impl Summary {
     /// Summarises the runs of a suite.
     pub fn new(suite: &Suite, runs: Vec<SuiteRun>) -> Self {
         let captures: Vec<&str> = suite.captures.iter().map(|c| c.name.as_str()).collect();
-        let names: Vec<&str> = suite
-            .configurations
-            .iter()
-            .map(|c| c.name.as_str())
-            .collect();
+        let names: Vec<&str> = suite.configurations.iter().map(|c| c.name.as_str()).collect();
         let rows: Vec<Row> = captures
             .iter()
             .flat_map(|capture| names.iter().filter_map(|name| row(&runs, capture, name)))
             .collect();
-        let means = names
-            .iter()
-            .filter_map(|name| mean_row(&rows, name, captures.len()));
+        let means = names.iter().filter_map(|name| mean_row(&rows, name, captures.len()));
         Self {
             question: suite.question.clone(),
             preset: suite.preset.name().to_owned(),
@@ -117,10 +111,8 @@ impl Summary {
 fn row(runs: &[SuiteRun], capture: &str, configuration: &str) -> Option<Row> {
     let here = |run: &&SuiteRun| run.capture == capture && run.configuration == configuration;
     let of: Vec<&SuiteRun> = runs.iter().filter(here).collect();
-    let scores: Vec<RowScores> = of
-        .iter()
-        .filter_map(|run| run.judged().map(RowScores::of))
-        .collect();
+    let scores: Vec<RowScores> =
+        of.iter().filter_map(|run| run.judged().map(RowScores::of)).collect();
     let failed = |run: &&&SuiteRun| matches!(run.outcome, Outcome::Failed(_));
     (!of.is_empty()).then(|| Row {
         capture: Some(capture.to_owned()),
@@ -161,25 +153,10 @@ fn differences(runs: &[SuiteRun], names: &[&str]) -> Vec<Difference> {
 }
 
 fn share(runs: &[SuiteRun], gain: &Gain) -> Option<Share> {
-    let over = |name: &str| {
-        difference(
-            runs,
-            (name, &gain.over),
-            Measure::PsnrCc,
-            Cameras::Registered,
-        )
-    };
-    let Gain {
-        of,
-        over: floor,
-        ceiling,
-    } = gain.clone();
-    Some(Share {
-        reached: reached(&over(&of)?, &over(&ceiling)?),
-        of,
-        over: floor,
-        ceiling,
-    })
+    let over =
+        |name: &str| difference(runs, (name, &gain.over), Measure::PsnrCc, Cameras::Registered);
+    let Gain { of, over: floor, ceiling } = gain.clone();
+    Some(Share { reached: reached(&over(&of)?, &over(&ceiling)?), of, over: floor, ceiling })
 }
 
 impl RowScores {

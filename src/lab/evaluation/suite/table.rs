@@ -139,12 +139,7 @@ fn score_cells(row: &Row) -> Vec<String> {
 }
 
 fn gain_table(share: &Share) -> String {
-    let Share {
-        of,
-        over,
-        ceiling,
-        reached,
-    } = share;
+    let Share { of, over, ceiling, reached } = share;
     let mut rows: Vec<Vec<String>> = reached
         .captures
         .iter()
@@ -161,21 +156,11 @@ fn gain_table(share: &Share) -> String {
             ]
         })
         .collect();
-    let mean = reached.mean.map_or(NOTHING.to_owned(), |mean| {
-        with_interval(mean, reached.interval, 2)
-    });
-    rows.push(vec![
-        "mean".to_owned(),
-        NOTHING.into(),
-        NOTHING.into(),
-        mean,
-    ]);
-    let head = [
-        "capture",
-        &format!("{of} - {over}, dB"),
-        &format!("{ceiling} - {over}, dB"),
-        "share",
-    ];
+    let mean =
+        reached.mean.map_or(NOTHING.to_owned(), |mean| with_interval(mean, reached.interval, 2));
+    rows.push(vec!["mean".to_owned(), NOTHING.into(), NOTHING.into(), mean]);
+    let head =
+        ["capture", &format!("{of} - {over}, dB"), &format!("{ceiling} - {over}, dB"), "share"];
     format!(
         "How far {of} goes from {over} to {ceiling}, in psnr_cc with registered cameras; where \
          there is more than {LEAST_CEILING_DB} dB to go.\n\n{}",

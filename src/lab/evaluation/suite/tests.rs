@@ -15,14 +15,10 @@ fn every_configuration_finishes_a_seed_before_the_next() {
     let (_, said) = Pretended::new().well();
     // fled's 2 x 1000 steps took 200 s; at plain's 10 steps per second that makes 2000 steps.
     let seed = |seed: u32| {
-        [
-            "rounds=1 seed=S steps=100",
-            "seed=S steps=1000",
-            "rounds=1 seed=S steps=2000",
-        ]
-        .into_iter()
-        .flat_map(|set| ["fox", "hare"].map(|capture| format!("{capture}/dark: {set}")))
-        .map(move |run| run.replace('S', &seed.to_string()))
+        ["rounds=1 seed=S steps=100", "seed=S steps=1000", "rounds=1 seed=S steps=2000"]
+            .into_iter()
+            .flat_map(|set| ["fox", "hare"].map(|capture| format!("{capture}/dark: {set}")))
+            .map(move |run| run.replace('S', &seed.to_string()))
     };
     assert_eq!(runs(&said), seed(0).chain(seed(1)).collect::<Vec<_>>());
 }
@@ -30,10 +26,7 @@ fn every_configuration_finishes_a_seed_before_the_next() {
 #[test]
 fn every_run_is_judged_where_the_first_sees_the_scene() {
     let (summary, said) = Pretended::new().well();
-    let judged: Vec<&String> = said
-        .iter()
-        .filter(|line| line.starts_with("eval "))
-        .collect();
+    let judged: Vec<&String> = said.iter().filter(|line| line.starts_with("eval ")).collect();
     assert_eq!(judged.len(), 12);
     let name = |configuration: &str| {
         let mut of = summary.runs.iter();
@@ -47,10 +40,7 @@ fn every_run_is_judged_where_the_first_sees_the_scene() {
         line.expect(&start)[start.len() + 16..].to_owned()
     };
     assert_eq!(of(&plain), " --adapter auto --inside");
-    assert_eq!(
-        of(&fled),
-        format!(" --adapter auto --seen-from out/runs/{plain} --inside")
-    );
+    assert_eq!(of(&fled), format!(" --adapter auto --seen-from out/runs/{plain} --inside"));
 }
 
 #[test]
@@ -84,19 +74,10 @@ fn only_inputs_of_a_run_invalidate_its_record() {
     assert_eq!(started_after(|p| write(p, "program")), (12, 12));
     assert_eq!(started_after(|p| write(p, "fox/dark/1.png")), (6, 6));
     assert_eq!(started_after(|p| write(p, "fox/truth/1.png")), (0, 6));
-    assert_eq!(
-        started_after(|p| p.content["set"] = json!({"size": 100})),
-        (12, 12)
-    );
-    assert_eq!(
-        started_after(|p| p.content["inside"] = json!(false)),
-        (0, 12)
-    );
+    assert_eq!(started_after(|p| p.content["set"] = json!({"size": 100})), (12, 12));
+    assert_eq!(started_after(|p| p.content["inside"] = json!(false)), (0, 12));
     assert_eq!(started_after(|p| p.content["seeds"] = json!(3)), (6, 6));
-    assert_eq!(
-        started_after(|p| p.content["question"] = json!("?")),
-        (0, 0)
-    );
+    assert_eq!(started_after(|p| p.content["question"] = json!("?")), (0, 0));
     // Another name, or an option set to its default, gives the same run.
     assert_eq!(
         started_after(|p| {
@@ -138,10 +119,7 @@ fn a_failed_run_is_reported_and_repeated() {
     let (outcome, _) = pretended.done(Some(fails));
     let summary = outcome.expect("the others go on");
     let text = summary.markdown();
-    assert!(
-        text.contains("- failed: fox, fled, seed 1: no poses"),
-        "{text}"
-    );
+    assert!(text.contains("- failed: fox, fled, seed 1: no poses"), "{text}");
     assert!(
         text.contains("- failed: fox, as long, seed 1: the runs are not there"),
         "its time is not known: {text}"
@@ -149,10 +127,7 @@ fn a_failed_run_is_reported_and_repeated() {
     assert!(text.contains("| 1, 1 failed |"), "{text}");
     let (finished, _) = pretended.done(None);
     let text = finished.expect("a suite").markdown();
-    assert!(
-        text.contains("- failed: fox, fled, seed 1: no poses"),
-        "{text}"
-    );
+    assert!(text.contains("- failed: fox, fled, seed 1: no poses"), "{text}");
 
     let (summary, said) = pretended.well();
     assert_eq!(runs(&said).len(), 2, "{said:?}");
@@ -186,10 +161,7 @@ fn without_the_first_configuration_nothing_can_be_judged() {
     };
     let (outcome, _) = Pretended::new().done(Some(fails));
     let text = outcome.expect("the others go on").markdown();
-    assert!(
-        text.contains("- failed: fox, plain, seed 0: ended"),
-        "{text}"
-    );
+    assert!(text.contains("- failed: fox, plain, seed 0: ended"), "{text}");
     assert!(
         text.contains("- failed: fox, fled, seed 0: no run of the first configuration"),
         "{text}"
@@ -207,10 +179,7 @@ fn a_run_whose_inputs_changed_is_not_recorded() {
         };
         let (outcome, said) = pretended.done(Some(swaps));
         let told = outcome.expect_err("changed").to_string();
-        assert!(
-            told.contains("changed while a run was made of it"),
-            "{told}"
-        );
+        assert!(told.contains("changed while a run was made of it"), "{told}");
         assert_eq!(said.len(), 1);
         fs::write(&path, "another").expect("file");
         let (finished, _) = pretended.done(None);
@@ -228,15 +197,9 @@ fn invalid_options_are_reported_before_the_first_run() {
         outcome.expect_err("wrong").to_string()
     };
     let option = wrong(&|c| c["configurations"][2]["set"] = json!({"round": 2}));
-    assert!(
-        option.starts_with("fox, fled, seed 0: option `round`"),
-        "{option}"
-    );
+    assert!(option.starts_with("fox, fled, seed 0: option `round`"), "{option}");
     let network = wrong(&|c| c["set"] = json!({"deblur": "no-such-network"}));
-    assert!(
-        network.contains("`deblur`: `no-such-network` is neither an ONNX file"),
-        "{network}"
-    );
+    assert!(network.contains("`deblur`: `no-such-network` is neither an ONNX file"), "{network}");
     let truth = wrong(&|c| c["captures"][1]["truth"] = json!("nowhere"));
     assert!(truth.contains("nowhere: No such file"), "{truth}");
 }

@@ -40,13 +40,7 @@ impl PacedBody {
     /// Fails if less than [`LEAST`] arrives within `stall`. A body that is held back is sent only
     /// when it is polled.
     pub(super) fn new(body: Incoming, stall: Duration, is_held_back: bool) -> Self {
-        Self {
-            body: Some(body),
-            stall,
-            is_held_back,
-            timer: None,
-            since: 0,
-        }
+        Self { body: Some(body), stall, is_held_back, timer: None, since: 0 }
     }
 }
 
@@ -130,11 +124,7 @@ pub(super) struct PacedStream {
 impl PacedStream {
     /// Fails if the reader takes nothing within `stall`.
     pub(super) fn new(stream: TcpStream, stall: Duration) -> Self {
-        Self {
-            stream,
-            stall,
-            timer: None,
-        }
+        Self { stream, stall, timer: None }
     }
 
     fn paced<T>(

@@ -18,14 +18,7 @@ const SCHEMAS: &str = "/components/schemas";
 /// Collections whose members have UUIDs.
 const COLLECTIONS: [&str; 3] = ["captures", "jobs", "uploads"];
 /// Names of fields and parameters that are UUIDs.
-const UUIDS: [&str; 6] = [
-    "capture_id",
-    "job_id",
-    "cursor",
-    "next_cursor",
-    "uploads",
-    "video",
-];
+const UUIDS: [&str; 6] = ["capture_id", "job_id", "cursor", "next_cursor", "uploads", "video"];
 /// Schemas whose `id` is a UUID.
 const OF_UUID: [&str; 3] = ["Capture", "Job", "Video"];
 
@@ -77,9 +70,7 @@ fn as_openapi(schema: &mut Value) {
     if *schema == json!(true) {
         *schema = json!({});
     }
-    let has_kind = ["type", "$ref", "oneOf", "anyOf"]
-        .iter()
-        .any(|kind| schema.get(kind).is_some());
+    let has_kind = ["type", "$ref", "oneOf", "anyOf"].iter().any(|kind| schema.get(kind).is_some());
     if !has_kind {
         // JSON of any form, which is an object wherever the core has it.
         schema["type"] = "object".into();
@@ -153,10 +144,7 @@ fn set_format(schema: &mut Value, format: &str) {
 /// Adds the formats of its parameters and examples to an operation, and notes the bodies of which
 /// it has one.
 fn complete_operation(operation: &mut Value, path: &str, used: &mut Map<String, Value>) {
-    let id = operation["operationId"]
-        .as_str()
-        .unwrap_or_default()
-        .to_owned();
+    let id = operation["operationId"].as_str().unwrap_or_default().to_owned();
     let collection = path.split('/').nth(2).unwrap_or_default();
     let parameters = operation.get_mut("parameters");
     let parameters = parameters.and_then(Value::as_array_mut);
@@ -167,11 +155,7 @@ fn complete_operation(operation: &mut Value, path: &str, used: &mut Map<String, 
             set_format(&mut parameter["schema"], "uuid");
         }
         let known = &EXAMPLES["parameters"];
-        let keys = [
-            format!("{id}.{name}"),
-            name.clone(),
-            format!("{collection}.{name}"),
-        ];
+        let keys = [format!("{id}.{name}"), name.clone(), format!("{collection}.{name}")];
         if let Some(example) = keys.iter().find_map(|key| known.get(key)) {
             parameter["example"] = example.clone();
         }
@@ -187,9 +171,7 @@ fn complete_operation(operation: &mut Value, path: &str, used: &mut Map<String, 
             _ => {}
         }
     }
-    let contents = bodies
-        .into_iter()
-        .filter_map(|body| body.get_mut("content"));
+    let contents = bodies.into_iter().filter_map(|body| body.get_mut("content"));
     for (_, content) in contents.flat_map(members) {
         // A file of any type: an empty schema says no more than none.
         if content["schema"] == json!({})

@@ -63,11 +63,7 @@ pub(super) async fn begin(
         expires_at: life(app).await?,
     };
     keep(app, visitor, &row).await?;
-    let mut begun = Begun {
-        id: row.id.clone(),
-        offset: 0,
-        expires_at: row.expires_at,
-    };
+    let mut begun = Begun { id: row.id.clone(), offset: 0, expires_at: row.expires_at };
     if let Some(first) = first {
         let app = app.clone();
         let stands = to_its_end(async move { with_first(&app, &row, first).await }).await?;
@@ -77,10 +73,7 @@ pub(super) async fn begin(
 }
 
 fn length(headers: &HeaderMap) -> Result<u64, Problem> {
-    for (name, of) in [
-        (DEFER_LENGTH, "Deferred lengths are"),
-        (CONCAT, "Concatenation is"),
-    ] {
+    for (name, of) in [(DEFER_LENGTH, "Deferred lengths are"), (CONCAT, "Concatenation is")] {
         if headers.contains_key(&name) {
             return Err(unfit(format!("{of} not supported: `{name}`.")));
         }

@@ -27,25 +27,18 @@ impl Metadata {
     pub(super) fn of(headers: &HeaderMap) -> Result<Self, Problem> {
         let sent = text(headers, &METADATA)?.unwrap_or_default();
         if sent.len() > LONGEST {
-            return Err(unfit(format!(
-                "`Upload-Metadata` has more than {LONGEST} bytes."
-            )));
+            return Err(unfit(format!("`Upload-Metadata` has more than {LONGEST} bytes.")));
         }
         let read = pairs(sent).ok_or_else(|| {
             bad("`Upload-Metadata` must consist of distinct keys, each with a value in base64.")
         })?;
         // Uppy tells the folders of a file so, and `null` where it has none.
-        let path = read
-            .get("relativePath")
-            .filter(|path| !matches!(&path[..], b"" | b"null"));
+        let path = read.get("relativePath").filter(|path| !matches!(&path[..], b"" | b"null"));
         let filename = path.or(read.get("filename")).cloned().unwrap_or_default();
         match String::from_utf8(filename) {
             Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => {
                 check_text(&filename, "/filename")?;
-                Ok(Self {
-                    sent: sent.to_owned(),
-                    filename,
-                })
+                Ok(Self { sent: sent.to_owned(), filename })
             }
             _ => Err(unfit(format!(
                 "`Upload-Metadata` needs a `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."

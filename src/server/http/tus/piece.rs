@@ -75,14 +75,7 @@ pub(super) async fn add(
     if app.has_no_space_for(announced.lower()) {
         return Err(disk_full());
     }
-    let writer = Writer {
-        app,
-        row,
-        file,
-        begin,
-        at: begin,
-        looked: begin,
-    };
+    let writer = Writer { app, row, file, begin, at: begin, looked: begin };
     writer.write(piece.body, lock).await
 }
 

@@ -24,9 +24,7 @@ impl Ahead {
             let chunk = chunk.map_err(io::Error::other)?;
             let held = self.0.fetch_add(chunk.len(), Ordering::Relaxed) + chunk.len();
             if held > FARTHEST {
-                return Err(io::Error::other(
-                    "a part's header is too long or does not end",
-                ));
+                return Err(io::Error::other("a part's header is too long or does not end"));
             }
             Ok(chunk)
         });
@@ -37,9 +35,7 @@ impl Ahead {
     pub(super) fn taken(&self, bytes: usize) {
         // What was held when a part began is not counted: then more is taken than was counted.
         let less = |held: usize| Some(held.saturating_sub(bytes));
-        let _ = self
-            .0
-            .fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
+        let _ = self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
     }
 
     /// A part's header was found: what is held belongs to parts.

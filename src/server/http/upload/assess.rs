@@ -24,10 +24,8 @@ impl Upload {
     /// cannot be read, 503 while those of others are read; 507 when there is no room.
     pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
-            return Err(
-                Problem::unprocessable("bad_input", "The upload has no files.")
-                    .hint("Send photographs as parts named `images`, one ZIP file, or one video."),
-            );
+            return Err(Problem::unprocessable("bad_input", "The upload has no files.")
+                .hint("Send photographs as parts named `images`, one ZIP file, or one video."));
         }
         let videos = self.videos(app)?;
         let name = videos.used.as_ref().map(|video| name_of(&video.file));
@@ -42,10 +40,7 @@ impl Upload {
             room: free.min(self.most.unwrap_or(u64::MAX)),
             memory: app.limits.assessing_bytes,
         };
-        let seen = app
-            .validators
-            .assess(self.dir.clone(), &request, turn)
-            .await;
+        let seen = app.validators.assess(self.dir.clone(), &request, turn).await;
         let no_room = || match self.most {
             Some(most) if most <= free => over_quota(),
             _ => disk_full(),
@@ -59,10 +54,9 @@ impl Upload {
         })?;
         let mut report = seen.report;
         report.images.extend(videos.unused);
-        report.warnings.extend(seen.filmed.map(|message| Warning {
-            code: "video".to_owned(),
-            message,
-        }));
+        report
+            .warnings
+            .extend(seen.filmed.map(|message| Warning { code: "video".to_owned(), message }));
         Ok(report)
     }
 }
@@ -78,9 +72,7 @@ fn refused(refusal: Refusal) -> Problem {
         (StatusCode::UNPROCESSABLE_ENTITY, "bad_input")
     };
     let capture = serde_json::to_value(&refusal.report).unwrap_or_default();
-    Problem::new(status, code, refusal.detail)
-        .hint(refusal.hint)
-        .capture(capture)
+    Problem::new(status, code, refusal.detail).hint(refusal.hint).capture(capture)
 }
 
 /// The answer where the process that was to look at the upload did not come to its end.

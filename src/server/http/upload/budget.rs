@@ -20,12 +20,7 @@ pub(super) struct Budget<'a> {
 impl<'a> Budget<'a> {
     /// Of a capture of which nothing has come.
     pub fn new(app: &'a App, most: Option<u64>) -> Self {
-        Self {
-            app,
-            most,
-            bytes: 0,
-            looked: 0,
-        }
+        Self { app, most, bytes: 0, looked: 0 }
     }
 
     /// So many bytes have come.

@@ -54,11 +54,7 @@ pub async fn gather(
         fingerprint: String::new(),
         files: rows.len(),
         most,
-        used: Used {
-            ids: ids.to_vec(),
-            bytes,
-            locks,
-        },
+        used: Used { ids: ids.to_vec(), bytes, locks },
     };
     let (app, dir) = (app.clone(), upload.dir.clone());
     tokio::task::spawn_blocking(move || link_all(&app, dir.path(), &rows))
@@ -92,8 +88,7 @@ async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadR
     let mut rows = app.store.uploads(ids).await?;
     let own = |(at, id): (usize, &String)| {
         let row = rows.remove(id);
-        row.filter(|row| row.owner.as_deref() == visitor.owner())
-            .ok_or_else(|| unknown(at))
+        row.filter(|row| row.owner.as_deref() == visitor.owner()).ok_or_else(|| unknown(at))
     };
     ids.iter().enumerate().map(own).collect()
 }
@@ -128,9 +123,7 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
             // The file system has no such thing, or is another.
             Err(_) if app.has_no_space_for(bytes) => return Err(disk_full()),
-            Err(_) => fs::copy(&from, &to)
-                .map(drop)
-                .map_err(ServerError::io(&to))?,
+            Err(_) => fs::copy(&from, &to).map(drop).map_err(ServerError::io(&to))?,
         }
     }
     if let Some(names) = places.names() {
@@ -155,10 +148,7 @@ fn unknown(at: usize) -> Problem {
 }
 
 fn unfinished(at: usize, row: &UploadRow, bytes: u64) -> Problem {
-    let detail = format!(
-        "Only {bytes} of {} bytes of this upload have arrived.",
-        row.length
-    );
+    let detail = format!("Only {bytes} of {} bytes of this upload have arrived.", row.length);
     Problem::conflict("unfinished", detail)
         .pointer(pointer(at))
         .hint("Send the rest first. HEAD returns where to continue.")

@@ -65,9 +65,7 @@ impl Upload {
             let stored = app.store.insert_capture(&placed.row, &placed.kept);
             stored.await.map(|()| true)
         } else {
-            app.store
-                .insert_capture_of(&placed.row, &placed.kept, &placed.uploads)
-                .await
+            app.store.insert_capture_of(&placed.row, &placed.kept, &placed.uploads).await
         };
         if !matches!(stored, Ok(true)) {
             placed.give_up().await;
@@ -115,10 +113,7 @@ impl Upload {
                 sync_directory(to.parent().unwrap_or(Path::new(".")))
             })
         };
-        moved
-            .await
-            .map_err(|_| Problem::internal())?
-            .map_err(ServerError::io(self.dir.path()))?;
+        moved.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(self.dir.path()))?;
         let kept = match app.blob_cache.keep_capture(&to).await {
             Ok(kept) => kept,
             Err(error) => {
@@ -158,10 +153,7 @@ impl Upload {
 }
 
 fn default_name() -> String {
-    format!(
-        "capture of {}",
-        jiff::Zoned::now().strftime("%Y-%m-%d %H:%M")
-    )
+    format!("capture of {}", jiff::Zoned::now().strftime("%Y-%m-%d %H:%M"))
 }
 
 /// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the

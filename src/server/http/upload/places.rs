@@ -69,11 +69,7 @@ impl Places {
                 place
             }
             None => {
-                let folder = if path.lies_in(&["gt", "hl"]) {
-                    "gt"
-                } else {
-                    PHOTOGRAPHS
-                };
+                let folder = if path.lies_in(&["gt", "hl"]) { "gt" } else { PHOTOGRAPHS };
                 self.unique(Path::new(folder), &safe_name(path.name()))
             }
         };
@@ -86,8 +82,7 @@ impl Places {
 
     /// The content of [`fled_core::capture::NAMES`], where the places do not say it.
     pub(super) fn names(&self) -> Option<String> {
-        self.differs
-            .then(|| serde_json::json!(self.names).to_string())
+        self.differs.then(|| serde_json::json!(self.names).to_string())
     }
 
     /// A path that is not taken. Numbers only grow, so that thousands of equal names cost no more
@@ -124,11 +119,7 @@ fn sent_path(part: &str, name: &str) -> PhotoPath {
         .and_then(|rest| rest.strip_prefix(':'));
     let is_absolute = after_drive.unwrap_or(name).starts_with(['/', '\\']);
     let path = PhotoPath::new(name);
-    let path = if is_absolute {
-        PhotoPath::new(path.name())
-    } else {
-        path
-    };
+    let path = if is_absolute { PhotoPath::new(path.name()) } else { path };
     let is_flat = path.folder().is_empty();
     match folder_of_poses(&path) {
         Some(folder) if is_flat => path.inside(folder),
@@ -167,13 +158,7 @@ fn safe_name(name: &str) -> String {
     let keep = |text: &str, most: usize| -> String {
         let mut bytes = 0;
         text.chars()
-            .map(|c| {
-                if c.is_control() || "/\\:*?\"<>|".contains(c) {
-                    '_'
-                } else {
-                    c
-                }
-            })
+            .map(|c| if c.is_control() || "/\\:*?\"<>|".contains(c) { '_' } else { c })
             .take_while(|c| {
                 bytes += c.len_utf8();
                 bytes <= most

@@ -56,10 +56,7 @@ impl Upload {
             frames: self.frames()?,
             ffmpeg: app.config.ffmpeg.clone(),
         });
-        Ok(Videos {
-            used,
-            unused: Vec::new(),
-        })
+        Ok(Videos { used, unused: Vec::new() })
     }
 
     /// How many photographs are wanted of the video.
@@ -68,14 +65,12 @@ impl Upload {
             return Ok(FRAMES);
         };
         let count = text.parse().ok();
-        count
-            .filter(|count| (MIN_VIEWS..=MOST_FRAMES).contains(count))
-            .ok_or_else(|| {
-                let detail = "`frames` is not a valid number of photographs to take from a video.";
-                Problem::unprocessable("bad_input", detail)
-                    .pointer("/frames")
-                    .hint(format!("Send a number from {MIN_VIEWS} to {MOST_FRAMES}."))
-            })
+        count.filter(|count| (MIN_VIEWS..=MOST_FRAMES).contains(count)).ok_or_else(|| {
+            let detail = "`frames` is not a valid number of photographs to take from a video.";
+            Problem::unprocessable("bad_input", detail)
+                .pointer("/frames")
+                .hint(format!("Send a number from {MIN_VIEWS} to {MOST_FRAMES}."))
+        })
     }
 }
 
@@ -142,11 +137,7 @@ pub(super) fn not_filmed(fault: &VideoFault, name: &str) -> Problem {
             tracing::warn!(detail, "a video was sent, but ffmpeg is missing");
             let detail =
                 format!("{name}: this server cannot read videos, because ffmpeg is missing.");
-            Problem::new(
-                StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                "unsupported_format",
-                detail,
-            )
+            Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_format", detail)
         }
         VideoFaultKind::NoRoom | VideoFaultKind::Video => {
             Problem::unprocessable("bad_input", format!("{name}: {detail}."))

@@ -16,10 +16,7 @@ async fn a_job_running_here_is_not_taken_over() {
     let running = ["j".to_owned()];
     let stolen = store.claim("two", -1, &running).await.expect("claim");
     assert!(stolen.is_none(), "its lease has run out, but it runs");
-    store
-        .heartbeat(&claim.lease, 60_000)
-        .await
-        .expect("it goes on");
+    store.heartbeat(&claim.lease, 60_000).await.expect("it goes on");
 }
 
 #[tokio::test]
@@ -32,10 +29,7 @@ async fn setting_the_clock_forward_ends_no_lease() {
     // The other worker does not know yet that the first one runs it.
     let stolen = store.claim("two", 30_000, &[]).await.expect("claim");
     assert!(stolen.is_none(), "taken from who has it");
-    store
-        .heartbeat(&claim.lease, 30_000)
-        .await
-        .expect("it goes on");
+    store.heartbeat(&claim.lease, 30_000).await.expect("it goes on");
 }
 
 #[tokio::test]

@@ -32,13 +32,9 @@ fn a_malformed_multipart_body_is_a_bad_request() {
     let whole =
         "--XXXX\r\nContent-Disposition: form-data; name=\"images\"; filename=\"a.png\"\r\n\r\nabc";
     let kind = [("content-type", "multipart/form-data; boundary=XXXX")];
-    for body in [
-        "",
-        "--XXXX",
-        "no boundary",
-        whole,
-        "--XXXX\r\nbad header\r\n\r\nabc\r\n--XXXX--\r\n",
-    ] {
+    for body in
+        ["", "--XXXX", "no boundary", whole, "--XXXX\r\nbad header\r\n\r\nabc\r\n--XXXX--\r\n"]
+    {
         for path in ["/v1/captures", "/v1/jobs"] {
             let problem = server.post(path, body.as_bytes(), &kind).expect(400);
             assert_eq!(problem.json()["code"], "bad_request", "{body:?}");
@@ -46,9 +42,7 @@ fn a_malformed_multipart_body_is_a_bad_request() {
     }
     let none = [("content-type", "multipart/form-data")];
     server.post("/v1/captures", b"", &none).expect(400);
-    server
-        .post("/v1/captures", b"", &[("content-type", "text/plain")])
-        .expect(415);
+    server.post("/v1/captures", b"", &[("content-type", "text/plain")]).expect(415);
     server.post("/v1/captures", b"", &[]).expect(415);
 }
 
@@ -61,16 +55,8 @@ fn media_types_ignore_case_and_arrays_are_no_orders() {
     let kind = [("content-type", "Multipart/Form-Data; boundary=XXXX")];
     let body =
         "--XXXX\r\nContent-Disposition: form-data; name=\"preset\"\r\n\r\npreview\r\n--XXXX--\r\n";
-    let problem = server
-        .post("/v1/jobs", body.as_bytes(), &kind)
-        .expect(422)
-        .json();
-    assert!(
-        problem["detail"]
-            .as_str()
-            .is_some_and(|d| d.contains("no file")),
-        "{problem:#}"
-    );
+    let problem = server.post("/v1/jobs", body.as_bytes(), &kind).expect(422).json();
+    assert!(problem["detail"].as_str().is_some_and(|d| d.contains("no file")), "{problem:#}");
 }
 
 #[test]
@@ -83,27 +69,17 @@ fn options_that_would_fail_late_are_refused_at_once() {
     let refused = |options: Value| order(options).expect(422).json()["pointer"].clone();
     assert_eq!(refused(json!({ "target": "bright" })), "/options/target");
     assert_eq!(refused(json!({ "target": "1,2,3" })), "/options/target");
-    assert_eq!(
-        refused(json!({ "held_out": "nobody" })),
-        "/options/held_out"
-    );
+    assert_eq!(refused(json!({ "held_out": "nobody" })), "/options/held_out");
     assert_eq!(refused(json!({ "held_out": 1 })), "/options/held_out");
     assert_eq!(refused(json!({ "held_out": " 8 " })), "/options/held_out");
-    assert_eq!(
-        refused(json!({ "adapter": "x".repeat(300) })),
-        "/options/adapter"
-    );
+    assert_eq!(refused(json!({ "adapter": "x".repeat(300) })), "/options/adapter");
     let held_out = "000, 002";
     order(json!({ "target": "10,0.8", "held_out": held_out, "adapter": "ok" })).expect(202);
     let mut parts = photographs(3);
     parts.push(text("options", r#"{"held_out":"nobody"}"#));
     server.upload("/v1/jobs", &parts, &[]).expect(422);
     let captures = server.get("/v1/captures", &[]).expect(200).json();
-    assert_eq!(
-        captures["captures"].as_array().map(Vec::len),
-        Some(7),
-        "a refused one was kept"
-    );
+    assert_eq!(captures["captures"].as_array().map(Vec::len), Some(7), "a refused one was kept");
 }
 
 #[test]
@@ -120,20 +96,10 @@ fn unreadable_poses_are_refused_with_the_upload() {
     for poses in broken {
         let mut parts = photographs(3);
         parts.extend(poses);
-        let problem = server
-            .upload("/v1/captures", &parts, &[])
-            .expect(422)
-            .json();
+        let problem = server.upload("/v1/captures", &parts, &[]).expect(422).json();
         let detail = problem["detail"].as_str().expect("detail");
-        assert!(
-            detail.contains("poses") && !detail.contains("incoming"),
-            "{detail}"
-        );
-        assert!(
-            problem["hint"]
-                .as_str()
-                .is_some_and(|hint| hint.contains("leave it out"))
-        );
+        assert!(detail.contains("poses") && !detail.contains("incoming"), "{detail}");
+        assert!(problem["hint"].as_str().is_some_and(|hint| hint.contains("leave it out")));
     }
     let mut files: Vec<(&str, Vec<u8>)> = Vec::new();
     let photographs = photographs(3);
@@ -151,21 +117,14 @@ fn invalid_and_missing_cameras_are_reported() {
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
     let path = format!("/v1/jobs/{job}/render");
-    server
-        .post_json(&path, &camera(CAMERA_FOCAL), &[])
-        .expect(200);
+    server.post_json(&path, &camera(CAMERA_FOCAL), &[]).expect(200);
     for focal in [1e39, 1e300, 1e-30, 0.0] {
         server.post_json(&path, &camera(focal), &[]).expect(422);
     }
     let mut nested = camera(CAMERA_FOCAL);
     nested["intrinsics"] = json!([64, 48, 50.0, 50.0, 32.0, 24.0]);
     server.post_json(&path, &nested, &[]).expect(422);
-    let output = server
-        .data
-        .path()
-        .join("data/jobs")
-        .join(&job)
-        .join("output");
+    let output = server.data.path().join("data/jobs").join(&job).join("output");
     std::fs::remove_file(output.join("cameras.json")).expect("removed");
     let problem = server.get(&path, &[]).expect(409).json();
     assert_eq!(problem["code"], "no_cameras");
@@ -181,20 +140,10 @@ fn an_unknown_last_event_id_is_refused() {
     let job = server.job("few_poses");
     server.wait_state(&job, "failed");
     let path = format!("/v1/jobs/{job}/events");
-    for bogus in [
-        "abc",
-        "-1",
-        "1000000",
-        "9223372036854775807",
-        "9223372036854775808",
-        "1.5",
-        "",
-    ] {
+    for bogus in ["abc", "-1", "1000000", "9223372036854775807", "9223372036854775808", "1.5", ""] {
         server.get(&path, &[("last-event-id", bogus)]).expect(422);
     }
-    server
-        .get(&format!("{path}?after=1000000"), &[])
-        .expect(422);
+    server.get(&format!("{path}?after=1000000"), &[]).expect(422);
     server.get(&path, &[("last-event-id", "1")]).expect(200);
 }
 
@@ -204,24 +153,15 @@ fn no_answer_contains_a_path_of_the_server() {
     let (job, done) = (server.job("leak"), server.job("ok"));
     let failed = server.wait_state(&job, "failed");
     assert_eq!(failed["error"]["detail"], "images: is damaged");
-    let events = server
-        .get(&format!("/v1/jobs/{job}/events"), &[])
-        .expect(200)
-        .text();
+    let events = server.get(&format!("/v1/jobs/{job}/events"), &[]).expect(200).text();
     assert!(!events.contains("data/captures"), "{events}");
     server.wait_state(&done, "succeeded");
     let scene = format!("data/jobs/{done}/output/scene.ply");
     std::fs::write(server.data.path().join(scene), "refuse").expect("written");
-    let problem = server
-        .get(&format!("/v1/jobs/{done}/render"), &[])
-        .expect(503)
-        .json();
+    let problem = server.get(&format!("/v1/jobs/{done}/render"), &[]).expect(503).json();
     assert_eq!(problem["detail"], "scene.ply: damaged");
     let ready = server.get("/readyz", &[]).expect(503).text();
-    assert!(
-        ready.contains("no colmap") && !ready.contains("/usr/bin"),
-        "{ready}"
-    );
+    assert!(ready.contains("no colmap") && !ready.contains("/usr/bin"), "{ready}");
 }
 
 #[test]
@@ -242,10 +182,7 @@ fn texts_that_control_what_shows_them_are_refused() {
     server.get("/v1/jobs/%ff", &[]).expect(400);
     let order = |name: &str| json!({ "capture_id": capture, "name": name });
     for name in ["a\0b", "a\nb", "\u{1b}[2J", "\u{202e}gpj", "\u{2066}a"] {
-        let refused = server
-            .post_json("/v1/jobs", &order(name), &[])
-            .expect(422)
-            .json();
+        let refused = server.post_json("/v1/jobs", &order(name), &[]).expect(422).json();
         assert_eq!(
             (&refused["code"], &refused["pointer"]),
             (&json!("bad_text"), &json!("/name")),
@@ -253,11 +190,7 @@ fn texts_that_control_what_shows_them_are_refused() {
         );
         let mut parts = photographs(3);
         parts.push(text("name", name));
-        assert_eq!(
-            code(server.upload("/v1/captures", &parts, &[])),
-            "bad_text",
-            "{name:?}"
-        );
+        assert_eq!(code(server.upload("/v1/captures", &parts, &[])), "bad_text", "{name:?}");
     }
     let mut parts = photographs(3);
     parts.push(file("\u{202e}gpj.png", b"x"));
@@ -267,10 +200,7 @@ fn texts_that_control_what_shows_them_are_refused() {
     let refused = server.upload("/v1/jobs", &parts, &[]).expect(422).json();
     assert_eq!(refused["pointer"], "/options/adapter");
     let options = json!({ "capture_id": capture, "options": { "adapter": "a\0" } });
-    assert_eq!(
-        code(server.post_json("/v1/jobs", &options, &[])),
-        "bad_text"
-    );
+    assert_eq!(code(server.post_json("/v1/jobs", &options, &[])), "bad_text");
 }
 
 #[test]
@@ -283,23 +213,14 @@ fn a_body_that_does_not_fit_is_refused_in_plain_words() {
         ("[]", 422, "The body must be an object."),
         ("{}", 422, "`capture_id` is missing."),
         ("{\"capture_id\":1}", 422, "`capture_id` must be a string."),
-        (
-            "{\"capture_id\":\"a\",\"options\":[]}",
-            422,
-            "`options` must be an object.",
-        ),
+        ("{\"capture_id\":\"a\",\"options\":[]}", 422, "`options` must be an object."),
     ] {
-        let refused = server
-            .post("/v1/jobs", body.as_bytes(), &json)
-            .expect(status);
+        let refused = server.post("/v1/jobs", body.as_bytes(), &json).expect(status);
         assert_eq!(refused.json()["detail"], told, "{body}");
         assert_eq!(refused.header("content-type"), "application/problem+json");
     }
     let options = json!({ "capture_id": server.capture(3), "options": { "rounds": "two" } });
-    let refused = server
-        .post_json("/v1/jobs", &options, &[])
-        .expect(422)
-        .json();
+    let refused = server.post_json("/v1/jobs", &options, &[]).expect(422).json();
     let told = "option `rounds`: must be a whole number from 0 to 4294967295";
     assert_eq!(refused["detail"], told);
     assert_eq!(refused["pointer"], "/options/rounds");

@@ -8,17 +8,12 @@ use crate::support::{Server, photographs, text};
 #[test]
 fn pages_of_other_sites_cannot_start_jobs() {
     let server = Server::start();
-    let evil = [
-        ("origin", "https://evil.example"),
-        ("sec-fetch-site", "cross-site"),
-    ];
+    let evil = [("origin", "https://evil.example"), ("sec-fetch-site", "cross-site")];
     // A small body: the refusal comes before it is read.
     let refused = server.upload("/v1/jobs", &[text("name", "evil")], &evil);
     assert_eq!(refused.expect(403).json()["code"], "cross_origin");
     let own = [("origin", server.base.as_str())];
-    server
-        .upload("/v1/captures", &photographs(3), &own)
-        .expect(201);
+    server.upload("/v1/captures", &photographs(3), &own).expect(201);
 }
 
 #[test]
@@ -38,9 +33,7 @@ fn a_foreign_host_name_is_refused() {
     stream.read_to_string(&mut answer).expect("answered");
     assert!(answer.starts_with("HTTP/1.1 400"), "{answer}");
     assert!(answer.contains("application/problem+json"), "{answer}");
-    server
-        .get("/v1/jobs", &[("host", "localhost:1")])
-        .expect(200);
+    server.get("/v1/jobs", &[("host", "localhost:1")]).expect(200);
 }
 
 #[test]
@@ -53,10 +46,7 @@ fn lists_are_paged_without_gaps_and_filtered_by_state() {
     server.wait_state(&failed, "failed");
     let (mut seen, mut cursor) = (Vec::new(), String::new());
     loop {
-        let page = server
-            .get(&format!("/v1/jobs?limit=2{cursor}"), &[])
-            .expect(200)
-            .json();
+        let page = server.get(&format!("/v1/jobs?limit=2{cursor}"), &[]).expect(200).json();
         seen.extend(
             page["jobs"]
                 .as_array()
@@ -80,16 +70,10 @@ fn lists_are_paged_without_gaps_and_filtered_by_state() {
         ("cursor=zzz", "/cursor"),
         ("capture_id=zzz", "/capture_id"),
     ] {
-        let refused = server
-            .get(&format!("/v1/jobs?{query}"), &[])
-            .expect(422)
-            .json();
+        let refused = server.get(&format!("/v1/jobs?{query}"), &[]).expect(422).json();
         assert_eq!(refused["pointer"], pointer, "{refused:#}");
         let detail = refused["detail"].as_str().expect("detail");
-        assert!(
-            !detail.contains("deserialize") && !detail.contains("expected"),
-            "{detail}"
-        );
+        assert!(!detail.contains("deserialize") && !detail.contains("expected"), "{detail}");
     }
     server.get("/v1/captures?cursor=zzz", &[]).expect(422);
 }
@@ -115,34 +99,16 @@ fn readiness_reports_what_is_missing_and_what_to_do() {
     assert_eq!(server.get("/livez", &[]).expect(200).text(), "ok\n");
     let ready = server.get("/readyz", &[]).expect(503).json();
     let checks = ready["checks"].as_array().expect("checks");
-    let check = |name: &str| {
-        checks
-            .iter()
-            .find(|check| check["name"] == name)
-            .expect("checked")
-    };
+    let check = |name: &str| checks.iter().find(|check| check["name"] == name).expect("checked");
     assert_eq!(
-        (
-            &check("database")["ok"],
-            &check("disk")["ok"],
-            &check("adapter")["ok"]
-        ),
+        (&check("database")["ok"], &check("disk")["ok"], &check("adapter")["ok"]),
         (&true.into(), &true.into(), &true.into())
     );
     assert_eq!(check("colmap")["hint"], "apt-get install colmap");
     let page = server.get("/", &[]).expect(200);
-    assert!(
-        page.header("content-security-policy")
-            .contains("default-src 'none'")
-    );
+    assert!(page.header("content-security-policy").contains("default-src 'none'"));
     assert!(page.text().contains("<title>fled</title>"));
     let missing = server.get("/nowhere", &[]).expect(404);
     assert_eq!(missing.header("content-type"), "application/problem+json");
-    assert!(
-        server
-            .get("/openapi.yaml", &[])
-            .expect(200)
-            .text()
-            .starts_with("openapi: 3.1")
-    );
+    assert!(server.get("/openapi.yaml", &[]).expect(200).text().starts_with("openapi: 3.1"));
 }

@@ -39,10 +39,7 @@ fn a_photograph_that_crashes_its_validator_is_named() {
         let parts = with("crash.png", &photograph(9));
         let problem = server.upload(path, &parts, &[]).expect(422).json();
         let detail = problem["detail"].as_str().expect("detail");
-        assert!(
-            detail.starts_with("crash.png: ") && detail.contains("SIGABRT"),
-            "{detail}"
-        );
+        assert!(detail.starts_with("crash.png: ") && detail.contains("SIGABRT"), "{detail}");
         assert!(!problem["hint"].as_str().expect("hint").is_empty());
     }
     let data = server.data.path().join("data");
@@ -63,10 +60,7 @@ fn an_endless_photograph_blocks_only_its_own_upload() {
         assert!(!endless.is_finished(), "it waited");
         let problem = endless.join().expect("an answer").json();
         let detail = problem["detail"].as_str().expect("detail");
-        assert!(
-            detail.starts_with("endless.png: ") && detail.contains("2 s"),
-            "{detail}"
-        );
+        assert!(detail.starts_with("endless.png: ") && detail.contains("2 s"), "{detail}");
     });
     let incoming = server.data.path().join("data/incoming");
     soon("the folder gone", || is_empty(&incoming));
@@ -87,10 +81,7 @@ fn a_photograph_beyond_the_memory_limit_fails_only_its_upload() {
     let server = Server::start_with(&[("FLED_FAKE_ASSESSING", &(300 * MIB).to_string())]);
     let before = server.peak_memory();
     let parts = with("huge.png", &huge(7000));
-    let problem = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(422)
-        .json();
+    let problem = server.upload("/v1/captures", &parts, &[]).expect(422).json();
     let detail = problem["detail"].as_str().expect("detail");
     assert!(detail.starts_with("huge.png: "), "{detail}");
     let grown = server.peak_memory() - before;
@@ -109,10 +100,7 @@ fn uploads_share_one_budget_for_decoding() {
             .map(|_| scope.spawn(|| server.upload("/v1/captures", &parts, &[]).expect(422)))
             .collect();
         let mut most: u64 = 0;
-        while !uploads
-            .iter()
-            .all(std::thread::ScopedJoinHandle::is_finished)
-        {
+        while !uploads.iter().all(std::thread::ScopedJoinHandle::is_finished) {
             let held: u64 = server.children().into_iter().map(|pid| memory(&pid)).sum();
             most = most.max(held);
             sleep(Duration::from_millis(2));
@@ -120,11 +108,7 @@ fn uploads_share_one_budget_for_decoding() {
         most
     });
     assert!(most > 150 * MIB, "{} MiB seen", most / MIB);
-    assert!(
-        most < 400 * MIB,
-        "{} MiB for pictures of 190 MiB, one at a time",
-        most / MIB
-    );
+    assert!(most < 400 * MIB, "{} MiB for pictures of 190 MiB, one at a time", most / MIB);
     let own = server.peak_memory() / MIB;
     assert!(own < 150, "{own} MiB in the server itself");
 }

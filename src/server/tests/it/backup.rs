@@ -7,10 +7,8 @@ use crate::support::Server;
 use fled_server::{Backup, backup};
 
 fn copy(from: &Path, to: &Path) -> fled_server::Result<Backup> {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
     runtime.block_on(backup(from, to))
 }
 
@@ -26,10 +24,7 @@ fn a_backup_has_finished_jobs_and_starts_the_rest_afresh() {
     server.post(&cancel, b"", &[]).expect(202);
     let mut other = Server::start();
     other.kill();
-    let (from, to) = (
-        server.data.path().join("data"),
-        other.data.path().join("data"),
-    );
+    let (from, to) = (server.data.path().join("data"), other.data.path().join("data"));
     assert!(copy(&from, &to).is_err(), "there is something already");
     let nowhere = server.data.path().join("nowhere");
     assert!(copy(&nowhere, &nowhere.join("copy")).is_err());

@@ -10,37 +10,21 @@ fn bad_files_are_listed_until_too_few_good_ones_remain() {
     let server = Server::start();
     let mut parts = photographs(3);
     parts.push(file("broken.jpg", b"this is text"));
-    let reply = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(201)
-        .json();
+    let reply = server.upload("/v1/captures", &parts, &[]).expect(201).json();
     assert_eq!(reply["accepted"], 3);
     let images = reply["images"].as_array().expect("assessments");
-    let broken = images
-        .iter()
-        .find(|image| image["name"] == "broken.jpg")
-        .expect("listed");
-    assert!(
-        broken["accepted"] == false && broken["reason"].is_string(),
-        "{broken}"
-    );
+    let broken = images.iter().find(|image| image["name"] == "broken.jpg").expect("listed");
+    assert!(broken["accepted"] == false && broken["reason"].is_string(), "{broken}");
     let reply = server.upload("/v1/captures", &parts[2..], &[]).expect(422);
     assert_eq!(reply.header("content-type"), "application/problem+json");
     let problem = reply.json();
     assert_eq!(problem["code"], "bad_input");
     assert!(
         problem["hint"].is_string()
-            && problem["capture"]["images"]
-                .as_array()
-                .is_some_and(|v| v.len() == 2)
+            && problem["capture"]["images"].as_array().is_some_and(|v| v.len() == 2)
     );
-    server
-        .upload("/v1/captures", &[text("name", "nothing")], &[])
-        .expect(422);
-    let dry = server
-        .upload("/v1/captures?dry_run", &photographs(3), &[])
-        .expect(200)
-        .json();
+    server.upload("/v1/captures", &[text("name", "nothing")], &[]).expect(422);
+    let dry = server.upload("/v1/captures?dry_run", &photographs(3), &[]).expect(200).json();
     assert!(dry["id"].is_null() && dry["accepted"] == 3);
     let list = server.get("/v1/captures", &[]).expect(200).json();
     assert_eq!(
@@ -61,82 +45,38 @@ fn bad_files_are_listed_until_too_few_good_ones_remain() {
 #[test]
 fn a_zip_is_validated_by_its_own_names_and_stored_unchanged() {
     let server = Server::start();
-    let names = [
-        "walk/images/a.png",
-        "walk/images/b.png",
-        "walk/images/c.png",
-        "walk/gt/a.png",
-    ];
-    let content: Vec<(&str, Vec<u8>)> = (0..)
-        .zip(names)
-        .map(|(i, name)| (name, photograph(i)))
-        .collect();
-    let reply = server
-        .upload("/v1/captures", &[file("walk.zip", &zip(&content))], &[])
-        .expect(201)
-        .json();
-    assert_eq!(
-        reply["accepted"], 3,
-        "ground truth is no photograph: {reply:#}"
-    );
+    let names = ["walk/images/a.png", "walk/images/b.png", "walk/images/c.png", "walk/gt/a.png"];
+    let content: Vec<(&str, Vec<u8>)> =
+        (0..).zip(names).map(|(i, name)| (name, photograph(i))).collect();
+    let reply =
+        server.upload("/v1/captures", &[file("walk.zip", &zip(&content))], &[]).expect(201).json();
+    assert_eq!(reply["accepted"], 3, "ground truth is no photograph: {reply:#}");
     assert_eq!(reply["images"][0]["name"], "a.png");
-    let capture = server
-        .data
-        .path()
-        .join("data/captures")
-        .join(reply["id"].as_str().expect("id"));
-    let kept: Vec<_> = std::fs::read_dir(capture)
-        .expect("folder")
-        .flatten()
-        .map(|e| e.file_name())
-        .collect();
+    let capture = server.data.path().join("data/captures").join(reply["id"].as_str().expect("id"));
+    let kept: Vec<_> =
+        std::fs::read_dir(capture).expect("folder").flatten().map(|e| e.file_name()).collect();
     assert_eq!(kept, ["upload.zip"]);
-    let bad = server
-        .upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[])
-        .expect(422)
-        .json();
+    let bad =
+        server.upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[]).expect(422).json();
     assert!(
         !bad["detail"].as_str().expect("detail").contains("incoming"),
         "a path of the server is told: {bad}"
     );
-    let parts = [
-        file("walk.zip", &zip(&content)),
-        file("a.png", &photograph(1)),
-    ];
+    let parts = [file("walk.zip", &zip(&content)), file("a.png", &photograph(1))];
     server.upload("/v1/captures", &parts, &[]).expect(422);
 }
 
 #[test]
 fn names_cannot_escape_the_capture() {
     let server = Server::start();
-    let names = [
-        "../../../evil.png",
-        "/etc/evil.png",
-        "a\\..\\..\\evil.png",
-        "-rf.png",
-        "日本.png",
-    ];
-    let parts: Vec<_> = names
-        .iter()
-        .enumerate()
-        .map(|(i, name)| file(name, &photograph(i)))
-        .collect();
-    let reply = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(201)
-        .json();
+    let names =
+        ["../../../evil.png", "/etc/evil.png", "a\\..\\..\\evil.png", "-rf.png", "日本.png"];
+    let parts: Vec<_> =
+        names.iter().enumerate().map(|(i, name)| file(name, &photograph(i))).collect();
+    let reply = server.upload("/v1/captures", &parts, &[]).expect(201).json();
     assert_eq!(reply["accepted"], 5, "{reply:#}");
-    let capture = server
-        .data
-        .path()
-        .join("data/captures")
-        .join(reply["id"].as_str().expect("id"));
-    assert_eq!(
-        std::fs::read_dir(capture.join("images"))
-            .expect("images")
-            .count(),
-        5
-    );
+    let capture = server.data.path().join("data/captures").join(reply["id"].as_str().expect("id"));
+    assert_eq!(std::fs::read_dir(capture.join("images")).expect("images").count(), 5);
     assert!(
         !server.data.path().join("evil.png").exists()
             && !server.data.path().join("data/evil.png").exists()
@@ -147,22 +87,13 @@ fn names_cannot_escape_the_capture() {
 fn a_photograph_is_known_by_the_path_that_it_was_sent_under() {
     let server = Server::start();
     let names = ["cam0/0.png", "cam0/1.png", "cam1\\0.png", "cam1/a%22b.png"];
-    let parts: Vec<_> = names
-        .iter()
-        .enumerate()
-        .map(|(i, name)| file(name, &photograph(i)))
-        .collect();
-    let capture = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(201)
-        .json();
+    let parts: Vec<_> =
+        names.iter().enumerate().map(|(i, name)| file(name, &photograph(i))).collect();
+    let capture = server.upload("/v1/captures", &parts, &[]).expect(201).json();
     let told: Vec<&str> = { capture["images"].as_array().expect("assessments").iter() }
         .map(|image| image["name"].as_str().expect("a name"))
         .collect();
-    assert_eq!(
-        told,
-        ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]
-    );
+    assert_eq!(told, ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]);
 }
 
 #[test]
@@ -174,19 +105,12 @@ fn poses_that_may_be_of_two_photographs_are_refused_and_name_both() {
     };
     let frames = ["0.png", "1.png"].map(frame);
     let poses = serde_json::json!({ "fl_x": 70, "w": 80, "h": 60, "frames": frames }).to_string();
-    let mut parts: Vec<_> = {
-        ["cam0/0.png", "cam1/0.png", "cam1/1.png"]
-            .iter()
-            .enumerate()
-    }
-    .map(|(i, name)| file(name, &photograph(i)))
-    .collect();
+    let mut parts: Vec<_> = { ["cam0/0.png", "cam1/0.png", "cam1/1.png"].iter().enumerate() }
+        .map(|(i, name)| file(name, &photograph(i)))
+        .collect();
     let name = Some("transforms.json".to_owned());
     parts.push(("poses".to_owned(), name, poses.into_bytes()));
-    let problem = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(422)
-        .json();
+    let problem = server.upload("/v1/captures", &parts, &[]).expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
     assert!(detail.contains("`cam0/0.png` and `cam1/0.png`"), "{detail}");
 }
@@ -194,26 +118,11 @@ fn poses_that_may_be_of_two_photographs_are_refused_and_name_both() {
 #[test]
 fn several_places_are_told_as_for_a_folder() {
     let server = Server::start();
-    let parts: Vec<_> = {
-        ["garden/0.png", "garden/1.png", "kitchen/0.png"]
-            .iter()
-            .enumerate()
-    }
-    .map(|(i, name)| file(name, &photograph(i)))
-    .collect();
-    let problem = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(422)
-        .json();
+    let parts: Vec<_> = { ["garden/0.png", "garden/1.png", "kitchen/0.png"].iter().enumerate() }
+        .map(|(i, name)| file(name, &photograph(i)))
+        .collect();
+    let problem = server.upload("/v1/captures", &parts, &[]).expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
-    assert!(
-        detail.contains("garden/ (2 pictures) and kitchen/ (1 picture)"),
-        "{detail}"
-    );
-    assert!(
-        problem["hint"]
-            .as_str()
-            .is_some_and(|hint| hint.contains("images/")),
-        "{problem}"
-    );
+    assert!(detail.contains("garden/ (2 pictures) and kitchen/ (1 picture)"), "{detail}");
+    assert!(problem["hint"].as_str().is_some_and(|hint| hint.contains("images/")), "{problem}");
 }

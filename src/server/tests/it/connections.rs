@@ -31,11 +31,9 @@ fn silent_and_half_open_requests_are_closed() {
     let server = Server::start_with(&[("FLED_FAKE_HEADER_MS", "700")]);
     let silent = connect(&server);
     let mut half = connect(&server);
-    half.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n")
-        .expect("half");
+    half.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n").expect("half");
     let mut idle = connect(&server);
-    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n")
-        .expect("request");
+    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("request");
     for stream in [silent, half, idle] {
         let waited = closed(stream);
         assert!(waited < Duration::from_secs(5), "{waited:?}");
@@ -60,11 +58,7 @@ fn a_trickling_body_times_out() {
             break;
         }
     }
-    assert!(
-        start.elapsed() < Duration::from_secs(5),
-        "{:?}",
-        start.elapsed()
-    );
+    assert!(start.elapsed() < Duration::from_secs(5), "{:?}", start.elapsed());
     let incoming = server.data.path().join("data/incoming");
     let left = std::fs::read_dir(incoming).expect("folder").count();
     assert_eq!(left, 0, "a given up upload leaves files");
@@ -72,10 +66,7 @@ fn a_trickling_body_times_out() {
 
 #[test]
 fn an_unread_answer_times_out() {
-    let limits = [
-        ("FLED_FAKE_STALL_MS", "700"),
-        ("FLED_FAKE_CONNECTIONS", "1"),
-    ];
+    let limits = [("FLED_FAKE_STALL_MS", "700"), ("FLED_FAKE_CONNECTIONS", "1")];
     let server = Server::start_with(&limits);
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -103,11 +94,7 @@ fn idle_connections_make_room_for_new_ones() {
     for _ in 0..3 {
         let start = Instant::now();
         server.get("/livez", &[]).expect(200);
-        assert!(
-            start.elapsed() < Duration::from_secs(1),
-            "{:?}",
-            start.elapsed()
-        );
+        assert!(start.elapsed() < Duration::from_secs(1), "{:?}", start.elapsed());
     }
     drop(idle);
 }
@@ -126,10 +113,7 @@ fn active_requests_keep_their_places_and_others_get_503() {
     }
     let mut refused = String::new();
     connect(&server).read_to_string(&mut refused).expect("told");
-    assert!(
-        refused.starts_with("HTTP/1.1 503") && refused.contains("Retry-After"),
-        "{refused}"
-    );
+    assert!(refused.starts_with("HTTP/1.1 503") && refused.contains("Retry-After"), "{refused}");
     assert!(refused.contains("application/problem+json"), "{refused}");
     assert!(refused.contains("too_many_connections"), "{refused}");
     drop(streams);
@@ -160,9 +144,7 @@ fn a_client_that_sends_everything_first_reads_the_refusal() {
         )
         .expect("head");
         let body = vec![b'a'; total];
-        stream
-            .write_all(&body)
-            .expect("the server takes what it refuses");
+        stream.write_all(&body).expect("the server takes what it refuses");
         let mut answer = [0; 12];
         stream.read_exact(&mut answer).expect("an answer");
         let answer = String::from_utf8_lossy(&answer);

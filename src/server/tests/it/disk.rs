@@ -29,10 +29,7 @@ fn below_the_watermark_nothing_is_accepted_or_started() {
     server.upload("/v1/captures", &parts, &[]).expect(507);
     sleep(Duration::from_millis(1500));
     let shown = server.show(&waiting);
-    assert_eq!(
-        (&shown["state"], &shown["attempts"]),
-        (&"queued".into(), &1.into())
-    );
+    assert_eq!((&shown["state"], &shown["attempts"]), (&"queued".into(), &1.into()));
     server.restart();
     server.wait_state(&waiting, "succeeded");
 }
@@ -46,10 +43,8 @@ fn a_zip_is_unpacked_only_if_its_content_fits() {
     let watermark = (free - (8 << 20)).to_string();
     let server = Server::start_with(&[("FLED_FAKE_MIN_FREE", &watermark)]);
     let names: Vec<String> = (0..60).map(|i| format!("{i}.jpg")).collect();
-    let files: Vec<(&str, Vec<u8>)> = names
-        .iter()
-        .map(|name| (name.as_str(), vec![0; 1 << 20]))
-        .collect();
+    let files: Vec<(&str, Vec<u8>)> =
+        names.iter().map(|name| (name.as_str(), vec![0; 1 << 20])).collect();
     let parts = [file("walk.zip", &deflated(&files))];
     let refused = server.upload("/v1/captures?dry_run", &parts, &[]);
     assert_eq!(refused.expect(507).json()["code"], "disk_full");
@@ -61,9 +56,7 @@ const DISK: u64 = 48 << 20;
 /// Fills the disk `FLED_FILLS` times; CI fills it a few times.
 #[test]
 fn a_temporarily_full_disk_loses_nothing() {
-    let allowed = Command::new("unshare")
-        .args(["--map-root-user", "--mount", "true"])
-        .status();
+    let allowed = Command::new("unshare").args(["--map-root-user", "--mount", "true"]).status();
     if !allowed.is_ok_and(|status| status.success()) {
         // Written to standard error directly, because the output of passing tests is hidden.
         let said = "left out: `unshare --map-root-user --mount` is not allowed here";
@@ -93,24 +86,15 @@ fn a_temporarily_full_disk_loses_nothing() {
             }
             let refused = server.post_json("/v1/jobs", &order, &[]);
             assert_eq!(refused.expect(507).json()["code"], "disk_full");
-            server
-                .upload("/v1/captures", &photographs(3), &[])
-                .expect(507);
+            server.upload("/v1/captures", &photographs(3), &[]).expect(507);
             sleep(Duration::from_millis(20));
         }
         std::fs::remove_file(filler).expect("removed");
         server.wait_state(&job, "succeeded");
         assert_eq!(scene(&server, &job), expected);
-        let ids: Vec<i64> = server
-            .events(&job, 0, usize::MAX)
-            .iter()
-            .map(|event| event.0)
-            .collect();
-        assert_eq!(
-            ids,
-            (1..=ids.len() as i64).collect::<Vec<_>>(),
-            "a gap or a duplicate"
-        );
+        let ids: Vec<i64> =
+            server.events(&job, 0, usize::MAX).iter().map(|event| event.0).collect();
+        assert_eq!(ids, (1..=ids.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
         // What was refused while the disk was full is accepted now.
         server.capture(3);
         *met.entry(stage).or_default() += 1;
@@ -129,11 +113,7 @@ fn fill_up(server: &Server) -> PathBuf {
 }
 
 fn scene(server: &Server, job: &str) -> Vec<u8> {
-    let path = server
-        .seen()
-        .join("jobs")
-        .join(job)
-        .join("output/scene.ply");
+    let path = server.seen().join("jobs").join(job).join("output/scene.ply");
     std::fs::read(path).expect("a scene")
 }
 

@@ -12,10 +12,8 @@ const FORMS: [&str; 3] = ["restored.zip", "colmap.zip", "scene.compressed.ply"];
 
 fn names(reply: &Reply) -> Vec<String> {
     let archive = ZipArchive::new(Cursor::new(&reply.body)).expect("a zip");
-    let mut names: Vec<String> = archive
-        .file_names()
-        .map(|name| name.expect("a name").into_owned())
-        .collect();
+    let mut names: Vec<String> =
+        archive.file_names().map(|name| name.expect("a name").into_owned()).collect();
     names.sort();
     names
 }
@@ -44,19 +42,11 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     let of_round = names(&get("/restored.zip?round=1").expect(200));
     assert_eq!(of_round, ["000.jpg", "001.jpg", "002.jpg", "003.jpg"]);
     let colmap = names(&get("/colmap.zip"));
-    for name in [
-        "images/003.png",
-        "sparse/0/cameras.txt",
-        "sparse/0/images.txt",
-    ] {
+    for name in ["images/003.png", "sparse/0/cameras.txt", "sparse/0/images.txt"] {
         assert!(colmap.iter().any(|one| one == name), "{name} in {colmap:?}");
     }
     let scene = get("/scene.compressed.ply");
-    assert!(
-        scene
-            .body
-            .starts_with(b"ply\nformat binary_little_endian 1.0\nelement chunk 4\n")
-    );
+    assert!(scene.body.starts_with(b"ply\nformat binary_little_endian 1.0\nelement chunk 4\n"));
     get("/scene.spz").expect(404);
     get("/restored.zip?round=9").expect(404);
     get("/restored.zip?rounds=1").expect(422);

@@ -40,18 +40,10 @@ fn a_worker_may_die_at_any_failpoint() {
         worker.dies();
         assert!(gone(&job), "{failpoint}: its process ends with it");
         // The same worker, back at once, or another one, after its lease has expired.
-        let heir = if index % 2 == 0 {
-            name
-        } else {
-            format!("heir-{index}")
-        };
+        let heir = if index % 2 == 0 { name } else { format!("heir-{index}") };
         let _heir = farm.worker(&heir);
         succeeds(&api, &job, &calm);
-        let attempts = if failpoint == Failpoint::Settled {
-            1
-        } else {
-            2
-        };
+        let attempts = if failpoint == Failpoint::Settled { 1 } else { 2 };
         assert_eq!(api.show(&job)["attempts"], attempts, "{failpoint}");
     }
     let told = farm.postgres.psql(
@@ -86,11 +78,7 @@ fn wrong_clocks_do_not_disturb_workers() {
     ahead.kill();
     let _behind = with_clock(&farm, "behind", &minus);
     api.wait(&job, "is another's", |shown| shown["attempts"] == 2);
-    assert!(
-        begun.elapsed() > Duration::from_secs(3),
-        "{:?}",
-        begun.elapsed()
-    );
+    assert!(begun.elapsed() > Duration::from_secs(3), "{:?}", begun.elapsed());
     succeeds(&api, &job, &calm);
 }
 
@@ -112,18 +100,14 @@ fn wrong_clock(offset: &str) -> Environment {
     let shown = Command::new("date").arg("+%s").envs(clock.clone()).output();
     let shown = String::from_utf8(shown.expect("date runs").stdout).expect("words");
     let shown: u64 = shown.trim().parse().expect("a time");
-    let now = std::time::SystemTime::UNIX_EPOCH
-        .elapsed()
-        .expect("after 1970");
+    let now = std::time::SystemTime::UNIX_EPOCH.elapsed().expect("after 1970");
     assert!(shown.abs_diff(now.as_secs()) > 3500, "it is not wrong");
     clock
 }
 
 fn with_clock(farm: &Farm, name: &str, clock: &Environment) -> Machine {
-    let clock: Vec<(&str, &str)> = clock
-        .iter()
-        .map(|(name, value)| (name.as_str(), value.as_str()))
-        .collect();
+    let clock: Vec<(&str, &str)> =
+        clock.iter().map(|(name, value)| (name.as_str(), value.as_str())).collect();
     farm.worker_by(&[], name, &clock)
 }
 
@@ -181,10 +165,7 @@ impl Wire {
             for near in listener.incoming().flatten() {
                 let far = TcpStream::connect((Ipv4Addr::LOCALHOST, port)).expect("it listens");
                 for (mut from, mut to) in [(&near, &far), (&far, &near)].map(|(from, to)| {
-                    (
-                        from.try_clone().expect("a socket"),
-                        to.try_clone().expect("a socket"),
-                    )
+                    (from.try_clone().expect("a socket"), to.try_clone().expect("a socket"))
                 }) {
                     spawn(move || {
                         let mut bytes = [0; 1 << 16];
@@ -233,20 +214,14 @@ fn a_worker_without_network_ends_its_job_and_later_returns() {
     let cut = Instant::now();
     // No other worker has the job yet: it ends because its worker has lost contact.
     while processes_of(&job) > 0 {
-        assert!(
-            cut.elapsed() < Duration::from_secs(10),
-            "it works on unheard"
-        );
+        assert!(cut.elapsed() < Duration::from_secs(10), "it works on unheard");
         sleep(Duration::from_millis(50));
     }
     let ended = cut.elapsed();
     assert_eq!(api.show(&job)["attempts"], 1);
     let near = farm.worker("near");
     succeeds(&api, &job, &calm);
-    assert!(
-        ended < Duration::from_secs(5),
-        "before its lease ends, not after {ended:?}"
-    );
+    assert!(ended < Duration::from_secs(5), "before its lease ends, not after {ended:?}");
     sleep(Duration::from_secs(8).saturating_sub(cut.elapsed()));
     wire.mend();
     drop(near);
@@ -330,17 +305,11 @@ fn a_replica_that_dies_during_an_upload_leaves_nothing() {
     let (mut one, at_one) = farm.replica("one");
     assert!(!arrives(), "what was half there is gone");
     // A job posted to a replica that died before it answered is posted again to another.
-    let capture = at_one
-        .upload("/v1/captures", &photographs(4), &[])
-        .expect(201)
-        .json();
+    let capture = at_one.upload("/v1/captures", &photographs(4), &[]).expect(201).json();
     let body = json!({ "capture_id": capture["id"], "preset": "preview",
                        "options": { "adapter": "ok" } });
     let once = [("idempotency-key", "\"the-walk\"")];
-    let first = at_one
-        .post_json("/v1/jobs", &body, &once)
-        .expect(202)
-        .json();
+    let first = at_one.post_json("/v1/jobs", &body, &once).expect(202).json();
     one.kill();
     let again = at_two.post_json("/v1/jobs", &body, &once).json();
     assert_eq!(first["id"], again["id"]);

@@ -11,21 +11,13 @@ use fled_server::{Collected, GcOptions, gc};
 const DAY: Duration = Duration::from_secs(24 * 3600);
 
 /// Reports what would be removed now.
-const LOOK: GcOptions = GcOptions {
-    dry_run: true,
-    unnamed: Duration::ZERO,
-    caches: Duration::ZERO,
-};
-const DO: GcOptions = GcOptions {
-    dry_run: false,
-    ..LOOK
-};
+const LOOK: GcOptions =
+    GcOptions { dry_run: true, unnamed: Duration::ZERO, caches: Duration::ZERO };
+const DO: GcOptions = GcOptions { dry_run: false, ..LOOK };
 
 fn wait<T>(future: impl Future<Output = T>) -> T {
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
     runtime.block_on(future)
 }
 
@@ -54,9 +46,7 @@ fn a_dry_run_lists_exactly_what_is_removed() {
         server.wait_state(job, "succeeded");
     }
     server.put(&format!("/v1/jobs/{kept}/pin"));
-    server
-        .get(&format!("/v1/jobs/{kept}/render?azimuth=3"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{kept}/render?azimuth=3"), &[]).expect(200);
     let marks = [("FLED_FAKE_KEEP_MS", "1"), ("FLED_FAKE_NOTICE_MS", "300")];
     server.restart_with(&marks);
     server.kill();
@@ -87,9 +77,7 @@ fn a_dry_run_lists_exactly_what_is_removed() {
     let then: Vec<&str> = then.keys().map(String::as_str).collect();
     assert_eq!(then, ["unnamed/captures/left"]);
     server.restart();
-    server
-        .get(&format!("/v1/jobs/{kept}/artifacts/scene.ply"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{kept}/artifacts/scene.ply"), &[]).expect(200);
     server.get(&format!("/v1/jobs/{expired}"), &[]).expect(404);
 }
 
@@ -105,11 +93,7 @@ fn the_database_is_compacted_if_no_server_runs() {
     let (_, beside) = collect(&data, &DO);
     assert_eq!((beside.beside_server, beside.database), (true, 0));
     server.kill();
-    let bytes = || {
-        fs::metadata(data.join("fled.db"))
-            .expect("a database")
-            .len()
-    };
+    let bytes = || fs::metadata(data.join("fled.db")).expect("a database").len();
     let (_, alone) = collect(&data, &DO);
     assert!(!alone.beside_server && alone.database > 0, "{alone:?}");
     let log = fs::metadata(data.join("fled.db-wal")).map_or(0, |log| log.len());
@@ -124,25 +108,15 @@ fn beside_a_server_recent_files_stay() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    server
-        .get(&format!("/v1/jobs/{job}/render?azimuth=3"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{job}/render?azimuth=3"), &[]).expect(200);
     let data = server.data.path().join("data");
     // An upload being moved into place, and one in progress: neither has a row yet.
-    for young in [
-        "captures/young/a.jpg",
-        "incoming/young/a.jpg",
-        "uploads/young",
-        "cache/a.json",
-    ] {
+    for young in ["captures/young/a.jpg", "incoming/young/a.jpg", "uploads/young", "cache/a.json"] {
         write(&data.join(young), 10);
     }
     let (told, collected) = collect(&data, &DO);
     assert!(collected.beside_server && told.is_empty(), "{told:#?}");
-    let old = GcOptions {
-        unnamed: 30 * DAY,
-        ..DO
-    };
+    let old = GcOptions { unnamed: 30 * DAY, ..DO };
     let (told, _) = collect(&data, &old);
     assert!(told.is_empty(), "{told:#?}");
 }

@@ -26,38 +26,20 @@ fn a_job_goes_from_upload_to_results() {
     assert_eq!(done["warnings"][0]["code"], "low_confidence");
     assert_eq!(done["options"]["seed"], 7);
     let page = server.get("/v1/jobs", &[]).expect(200).json();
-    assert_eq!(
-        page["jobs"][0], done,
-        "a page tells of a job what the job does"
-    );
+    assert_eq!(page["jobs"][0], done, "a page tells of a job what the job does");
     assert_eq!(
         done["stages"].as_array().expect("stages").len(),
         13,
         "poses and six stages of two rounds"
     );
-    let rounds = server
-        .get(&format!("/v1/jobs/{job}/rounds"), &[])
-        .expect(200)
-        .json();
+    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
     assert_eq!(rounds["rounds"].as_array().expect("rounds").len(), 2);
-    assert_eq!(
-        (&rounds["seed"], &rounds["best_round"]),
-        (&7.into(), &2.into())
-    );
-    let csv = server
-        .get(&format!("/v1/jobs/{job}/rounds?format=csv"), &[])
-        .expect(200)
-        .text();
+    assert_eq!((&rounds["seed"], &rounds["best_round"]), (&7.into(), &2.into()));
+    let csv = server.get(&format!("/v1/jobs/{job}/rounds?format=csv"), &[]).expect(200).text();
     // Without ground truth: the enhanced and the deblurred views, and the renders.
     assert_eq!(csv.lines().count(), 1 + 2 * 2);
-    let log = server
-        .get(&format!("/v1/jobs/{job}/log?limit=3"), &[])
-        .expect(200)
-        .json();
-    assert_eq!(
-        (log["lines"].as_array().expect("lines").len(), &log["end"]),
-        (3, &false.into())
-    );
+    let log = server.get(&format!("/v1/jobs/{job}/log?limit=3"), &[]).expect(200).json();
+    assert_eq!((log["lines"].as_array().expect("lines").len(), &log["end"]), (3, &false.into()));
 }
 
 #[test]
@@ -80,10 +62,7 @@ fn a_job_can_be_renamed_and_tells_its_score() {
     assert_eq!(ended["name"], "Küche");
     let score =
         json!({ "reference": "gt", "split": "held_out", "psnr_cc_db": 20.5, "ssim": 0.4875 });
-    assert_eq!(
-        ended["score"], score,
-        "of the second round's held-out views"
-    );
+    assert_eq!(ended["score"], score, "of the second round's held-out views");
     ask(&path, &json!({ "name": "b" })).expect(200);
     let page = server.get("/v1/jobs", &[]).expect(200).json();
     assert_eq!(page["jobs"][0]["name"], "b");
@@ -104,10 +83,7 @@ fn a_permanent_failure_is_reported_at_once_with_a_hint() {
     let failed = server.wait_state(&job, "failed");
     assert_eq!(failed["attempts"], 1);
     assert_eq!(failed["error"]["code"], "few_poses");
-    assert_eq!(
-        failed["error"]["detail"],
-        "3 of 20 photographs could be placed"
-    );
+    assert_eq!(failed["error"]["detail"], "3 of 20 photographs could be placed");
     assert_eq!(failed["error"]["hint"], "Take more.");
 }
 
@@ -121,14 +97,8 @@ fn a_job_fails_after_three_crashes_without_progress() {
     assert_eq!(server.wait_state(&once, "succeeded")["attempts"], 2);
     assert_eq!(server.wait_state(&late, "succeeded")["attempts"], 2);
     let failed = server.wait_state(&always, "failed");
-    assert_eq!(
-        (&failed["attempts"], &failed["error"]["code"]),
-        (&3.into(), &"internal".into())
-    );
-    assert_eq!(
-        server.wait_state(&unknown, "failed")["error"]["code"],
-        "internal"
-    );
+    assert_eq!((&failed["attempts"], &failed["error"]["code"]), (&3.into(), &"internal".into()));
+    assert_eq!(server.wait_state(&unknown, "failed")["error"]["code"], "internal");
 }
 
 #[test]
@@ -137,42 +107,17 @@ fn cancelling_takes_two_seconds_at_most_and_a_retry_resumes() {
     let job = server.job("slow:100");
     server.wait(&job, "in round 1", |shown| shown["round"] == 1);
     let start = Instant::now();
-    let reply = server
-        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
-        .expect(202)
-        .json();
-    assert!(
-        start.elapsed() < Duration::from_secs(2),
-        "{:?}",
-        start.elapsed()
-    );
+    let reply = server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202).json();
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
     assert_eq!(reply["state"], "cancelled");
     assert_eq!(processes_of(&job), 0);
-    server
-        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
-        .expect(409);
-    server
-        .post(&format!("/v1/jobs/{job}/retry"), b"", &[])
-        .expect(202);
-    let log = || {
-        server
-            .get(&format!("/v1/jobs/{job}/log"), &[])
-            .expect(200)
-            .text()
-    };
-    let again = server.wait(&job, "past its poses again", |_| {
-        log().contains("poses already done")
-    });
+    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(409);
+    server.post(&format!("/v1/jobs/{job}/retry"), b"", &[]).expect(202);
+    let log = || server.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200).text();
+    let again = server.wait(&job, "past its poses again", |_| log().contains("poses already done"));
     assert_eq!(again["attempts"], 2);
-    assert_eq!(
-        log().matches("poses done").count(),
-        1,
-        "the retry began anew: {}",
-        log()
-    );
-    server
-        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
-        .expect(202);
+    assert_eq!(log().matches("poses done").count(), 1, "the retry began anew: {}", log());
+    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202);
     server.delete(&format!("/v1/jobs/{job}")).expect(204);
     server.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
 }
@@ -182,14 +127,8 @@ fn a_queued_job_is_cancelled_without_starting() {
     let server = Server::start();
     let busy = [server.job("slow:200"), server.job("slow:200")];
     let waiting = server.job("ok");
-    let reply = server
-        .post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[])
-        .expect(202)
-        .json();
-    assert_eq!(
-        (&reply["state"], &reply["attempts"]),
-        (&"cancelled".into(), &0.into())
-    );
+    let reply = server.post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[]).expect(202).json();
+    assert_eq!((&reply["state"], &reply["attempts"]), (&"cancelled".into(), &0.into()));
     server.delete(&format!("/v1/jobs/{}", busy[0])).expect(409);
 }
 
@@ -198,10 +137,7 @@ fn a_silent_job_is_stopped_with_a_timeout() {
     let server = Server::start();
     let job = server.job("silent");
     let failed = server.wait_state(&job, "failed");
-    assert_eq!(
-        (&failed["error"]["code"], &failed["attempts"]),
-        (&"timeout".into(), &3.into())
-    );
+    assert_eq!((&failed["error"]["code"], &failed["attempts"]), (&"timeout".into(), &3.into()));
     assert_eq!(processes_of(&job), 0);
 }
 
@@ -211,18 +147,14 @@ fn a_job_survives_the_death_of_its_server_with_all_events() {
     let job = server.job("slow:15");
     let mut events: Vec<(i64, String, serde_json::Value)> = Vec::new();
     for round in [1, 2] {
-        server.wait(&job, "further", |shown| {
-            shown["round"] == round && shown["stage"] != "enhance"
-        });
+        server
+            .wait(&job, "further", |shown| shown["round"] == round && shown["stage"] != "enhance");
         server.kill();
         assert!(gone(&job), "the job's process outlived its server");
         server.restart();
         let last = events.last().map_or(0, |(id, ..)| *id);
         let shown = server.show(&job);
-        assert!(
-            shown["state"] == "running" || shown["state"] == "queued",
-            "{shown:#}"
-        );
+        assert!(shown["state"] == "running" || shown["state"] == "queued", "{shown:#}");
         // The events so far, from the end of the last reading.
         events.extend(server.events(&job, last, 7));
     }
@@ -231,35 +163,20 @@ fn a_job_survives_the_death_of_its_server_with_all_events() {
     let last = events.last().map_or(0, |(id, ..)| *id);
     events.extend(server.events(&job, last, usize::MAX));
     let ids: Vec<i64> = events.iter().map(|(id, ..)| *id).collect();
+    assert_eq!(ids, (1..=ids.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
     assert_eq!(
-        ids,
-        (1..=ids.len() as i64).collect::<Vec<_>>(),
-        "a gap or a duplicate"
-    );
-    assert_eq!(
-        events
-            .last()
-            .map(|(_, name, data)| (name.as_str(), &data["state"])),
+        events.last().map(|(_, name, data)| (name.as_str(), &data["state"])),
         Some(("state", &"succeeded".into()))
     );
     assert_eq!(
-        events
-            .iter()
-            .filter(|(_, name, _)| name == "round_finished")
-            .count(),
+        events.iter().filter(|(_, name, _)| name == "round_finished").count(),
         2 + 1,
         "round 1 is told again"
     );
     server
-        .get(
-            &format!("/v1/jobs/{job}/events"),
-            &[("last-event-id", &ids.len().to_string())],
-        )
+        .get(&format!("/v1/jobs/{job}/events"), &[("last-event-id", &ids.len().to_string())])
         .expect(204);
-    let rounds = server
-        .get(&format!("/v1/jobs/{job}/rounds"), &[])
-        .expect(200)
-        .json();
+    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
 }
 
@@ -284,22 +201,10 @@ fn the_same_key_and_request_give_the_same_job() {
     assert_eq!(again.header("idempotent-replayed"), "true");
     assert_eq!(again.json()["id"], first["id"]);
     let other = serde_json::json!({ "capture_id": capture, "preset": "standard" });
-    assert_eq!(
-        server
-            .post_json("/v1/jobs", &other, &key)
-            .expect(422)
-            .json()["code"],
-        "key_reused"
-    );
+    assert_eq!(server.post_json("/v1/jobs", &other, &key).expect(422).json()["code"], "key_reused");
     let key = [("idempotency-key", "def")];
-    let first = server
-        .upload("/v1/jobs", &photographs(3), &key)
-        .expect(202)
-        .json();
-    let again = server
-        .upload("/v1/jobs", &photographs(3), &key)
-        .expect(202)
-        .json();
+    let first = server.upload("/v1/jobs", &photographs(3), &key).expect(202).json();
+    let again = server.upload("/v1/jobs", &photographs(3), &key).expect(202).json();
     assert_eq!(again["id"], first["id"]);
     let captures = server.get("/v1/captures", &[]).expect(200).json();
     assert_eq!(
@@ -328,27 +233,12 @@ fn a_successful_job_can_be_retried_with_other_options() {
     assert_eq!(server.show(&job)["options"], before["options"], "as it was");
     let last = server.events(&job, 0, usize::MAX).len() as i64;
 
-    let queued = retry(json!({ "rounds": 1, "cap": 4321 }))
-        .expect(202)
-        .json();
-    assert_eq!(
-        (&queued["options"]["cap"], &queued["rounds"]),
-        (&json!(4321), &json!(1))
-    );
+    let queued = retry(json!({ "rounds": 1, "cap": 4321 })).expect(202).json();
+    assert_eq!((&queued["options"]["cap"], &queued["rounds"]), (&json!(4321), &json!(1)));
     let after = server.wait_state(&job, "succeeded");
-    assert_eq!(
-        (&after["best_round"], &after["attempts"]),
-        (&json!(1), &json!(2))
-    );
-    let rounds = server
-        .get(&format!("/v1/jobs/{job}/rounds"), &[])
-        .expect(200)
-        .json();
-    assert_eq!(
-        rounds["rounds"].as_array().map(Vec::len),
-        Some(1),
-        "{rounds:#}"
-    );
+    assert_eq!((&after["best_round"], &after["attempts"]), (&json!(1), &json!(2)));
+    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
+    assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(1), "{rounds:#}");
     let events = server.events(&job, last, usize::MAX);
     assert_eq!(events[0].1, "state", "the stream goes on: {events:?}");
 }
@@ -377,10 +267,7 @@ fn a_job_with_options_of_an_older_build_can_be_retried() {
     server.kill();
     options["noise"] = json!("off");
     server_options(&server, &job, Some(&options));
-    let url = format!(
-        "sqlite://{}",
-        server.data.path().join("data/fled.db").display()
-    );
+    let url = format!("sqlite://{}", server.data.path().join("data/fled.db").display());
     on_database(&url, "UPDATE jobs SET state = 'queued', finished_at = NULL");
     server.restart();
     server.wait_state(&job, "succeeded");
@@ -392,18 +279,12 @@ fn server_options(
     job: &str,
     other: Option<&serde_json::Value>,
 ) -> serde_json::Value {
-    let url = format!(
-        "sqlite://{}",
-        server.data.path().join("data/fled.db").display()
-    );
+    let url = format!("sqlite://{}", server.data.path().join("data/fled.db").display());
     if let Some(other) = other {
         let order = format!("UPDATE jobs SET options = '{other}' WHERE id = '{job}'");
         on_database(&url, &order);
     }
-    let rows = on_database(
-        &url,
-        &format!("SELECT options FROM jobs WHERE id = '{job}'"),
-    );
+    let rows = on_database(&url, &format!("SELECT options FROM jobs WHERE id = '{job}'"));
     serde_json::from_str(&rows[0]).expect("JSON")
 }
 

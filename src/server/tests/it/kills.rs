@@ -103,10 +103,7 @@ fn nothing_is_lost_after_random_kills() {
     }
     let lost = ordeal.lost();
     let seconds = start.elapsed().as_secs_f64();
-    eprintln!(
-        "{jobs} jobs, {seconds:.0} s, {} captures",
-        ordeal.accepted.len()
-    );
+    eprintln!("{jobs} jobs, {seconds:.0} s, {} captures", ordeal.accepted.len());
     eprintln!("| killed | times | seconds of work done again | most at once | lost |");
     eprintln!("|---|---|---|---|---|");
     for (target, tally) in &ordeal.tallies {
@@ -279,10 +276,7 @@ impl Ordeal {
         }
         let answer = self.take(client);
         let known = ["HTTP/1.1 201 ", "HTTP/1.1 422 "];
-        assert!(
-            known.iter().any(|known| answer.starts_with(known)),
-            "{answer}"
-        );
+        assert!(known.iter().any(|known| answer.starts_with(known)), "{answer}");
         killed
     }
 
@@ -300,12 +294,8 @@ impl Ordeal {
         }
         let answer = String::from_utf8_lossy(&answer).into_owned();
         if answer.starts_with("HTTP/1.1 201 ") {
-            let line = answer
-                .lines()
-                .find_map(|line| line.strip_prefix("location: "));
-            let id = line
-                .and_then(|path| path.rsplit('/').next())
-                .expect("a location");
+            let line = answer.lines().find_map(|line| line.strip_prefix("location: "));
+            let id = line.and_then(|path| path.rsplit('/').next()).expect("a location");
             self.accepted.push(id.to_owned());
         }
         answer
@@ -315,13 +305,7 @@ impl Ordeal {
     fn lost(&self) -> usize {
         let is_lost = |id: &&String| {
             let told = self.server.get(&format!("/v1/captures/{id}"), &[]);
-            let images = self
-                .server
-                .data
-                .path()
-                .join("data/captures")
-                .join(id)
-                .join("images");
+            let images = self.server.data.path().join("data/captures").join(id).join("images");
             let named = || told.json()["images"].as_array().map_or(0, Vec::len);
             told.status != 200 || files(&images).len() != named()
         };
@@ -339,9 +323,7 @@ fn whole(answer: &[u8]) -> bool {
     let Some((head, body)) = text.split_once("\r\n\r\n") else {
         return false;
     };
-    let length = head
-        .lines()
-        .find_map(|line| line.strip_prefix("content-length: "));
+    let length = head.lines().find_map(|line| line.strip_prefix("content-length: "));
     length.is_some_and(|length| length.parse() == Ok(body.len()))
 }
 
@@ -351,19 +333,12 @@ fn check_events(events: &[(i64, String, Value)]) {
     let ids: Vec<i64> = events.iter().map(|event| event.0).collect();
     let all: Vec<i64> = (1..=ids.len() as i64).collect();
     assert_eq!(ids, all, "a gap or a duplicate");
-    let last = events
-        .last()
-        .map(|(_, name, data)| (name.as_str(), &data["state"]));
+    let last = events.last().map(|(_, name, data)| (name.as_str(), &data["state"]));
     assert_eq!(last, Some(("state", &"succeeded".into())));
 }
 
 fn output(server: &Server, job: &str) -> PathBuf {
-    server
-        .data
-        .path()
-        .join("data/jobs")
-        .join(job)
-        .join("output")
+    server.data.path().join("data/jobs").join(job).join("output")
 }
 
 /// All files below a folder, except hidden ones, which belong to the fake job.
@@ -388,8 +363,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 fn children(server: &Server, what: &str) -> Vec<u32> {
     let is_one = |process: &PathBuf| {
         let line = fs::read(process.join("cmdline")).unwrap_or_default();
-        line.split(|&byte| byte == 0)
-            .any(|word| word == what.as_bytes())
+        line.split(|&byte| byte == 0).any(|word| word == what.as_bytes())
     };
     let pid = |process: PathBuf| process.file_name()?.to_str()?.parse().ok();
     let children = server.children().into_iter();

@@ -29,10 +29,7 @@ fn order(server: &Server, capture: &str, plan: &str, header: &str) -> Reply {
 #[test]
 fn a_quota_limits_the_jobs_of_an_owner() {
     let server = Server::start();
-    let quotas = Quotas {
-        jobs: Some(1),
-        ..Quotas::default()
-    };
+    let quotas = Quotas { jobs: Some(1), ..Quotas::default() };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let (ben, _) = token_of("ben", &server, USER);
     let capture = id(&upload(&server, &anna).expect(201));
@@ -56,10 +53,7 @@ fn a_quota_limits_the_jobs_of_an_owner() {
 fn a_quota_limits_the_bytes_of_an_owner() {
     let server = Server::start();
     let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
-    let quotas = Quotas {
-        bytes: Some(one as u64 + 5000),
-        ..Quotas::default()
-    };
+    let quotas = Quotas { bytes: Some(one as u64 + 5000), ..Quotas::default() };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let (ben, _) = token_of("ben", &server, USER);
     let first = id(&upload(&server, &anna).expect(201));
@@ -78,10 +72,7 @@ fn a_quota_limits_the_bytes_of_an_owner() {
 fn a_repeated_request_gets_its_job_despite_the_quota() {
     let server = Server::start();
     let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
-    let quotas = Quotas {
-        bytes: Some(one as u64 + 5000),
-        jobs: Some(1),
-    };
+    let quotas = Quotas { bytes: Some(one as u64 + 5000), jobs: Some(1) };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let mut parts = photographs(3);
     parts.push(text("options", r#"{"adapter":"slow:100"}"#));
@@ -94,13 +85,7 @@ fn a_repeated_request_gets_its_job_despite_the_quota() {
     assert_eq!(again.header("idempotent-replayed"), "true");
     assert_eq!(id(&again), job);
     assert_eq!(ask("two").expect(429).json()["code"], "quota_jobs");
-    server
-        .post(
-            &format!("/v1/jobs/{job}/cancel"),
-            b"",
-            &[("authorization", &anna)],
-        )
-        .expect(202);
+    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[("authorization", &anna)]).expect(202);
     assert_eq!(ask("two").expect(507).json()["code"], "quota_bytes");
 }
 
@@ -118,9 +103,7 @@ fn the_rate_limit_stops_only_the_client_that_exceeds_it() {
     assert_eq!(first.header("ratelimit-policy"), "\"client\";q=20;w=20");
     assert!(first.header("ratelimit").starts_with("\"client\";r=19;"));
     let begin = Instant::now();
-    let refused = (0..40)
-        .map(|_| ask(&anna))
-        .find(|reply| reply.status == 429);
+    let refused = (0..40).map(|_| ask(&anna)).find(|reply| reply.status == 429);
     let refused = refused.expect("not for ever");
     assert_eq!(refused.json()["code"], "too_many_requests");
     assert_eq!(refused.header("retry-after"), "1");
@@ -131,10 +114,7 @@ fn the_rate_limit_stops_only_the_client_that_exceeds_it() {
     // Wrong tokens count by address, and do not lock out valid ones.
     let wrong = (0..40).map(|_| ask("Bearer fled_0"));
     let statuses: Vec<u16> = wrong.map(|reply| reply.status).collect();
-    assert!(
-        statuses.contains(&401) && statuses.contains(&429),
-        "{statuses:?}"
-    );
+    assert!(statuses.contains(&401) && statuses.contains(&429), "{statuses:?}");
     ask(&ben).expect(200);
     server.get("/livez", &[]).expect(200);
     sleep(Duration::from_millis(1100));
@@ -146,15 +126,10 @@ fn metrics_are_only_for_the_admin() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    let open = server
-        .get("/metrics", &[("x-request-id", "of-mine")])
-        .expect(200);
+    let open = server.get("/metrics", &[("x-request-id", "of-mine")]).expect(200);
     assert_eq!(open.header("x-request-id"), "of-mine");
     let told = open.text();
-    assert!(
-        told.contains("fled_jobs{state=\"succeeded\"} 1\n"),
-        "{told}"
-    );
+    assert!(told.contains("fled_jobs{state=\"succeeded\"} 1\n"), "{told}");
     assert!(told.contains("fled_jobs{state=\"queued\"} 0\n"), "{told}");
     let posted = "fled_requests_total{method=\"POST\",route=\"/v1/jobs\",status=\"202\"} 1\n";
     assert!(told.contains(posted), "{told}");
@@ -162,12 +137,8 @@ fn metrics_are_only_for_the_admin() {
     let (admin, _) = token(&server, "admin");
     let (anna, _) = token_of("anna", &server, USER);
     server.get("/metrics", &[]).expect(401);
-    server
-        .get("/metrics", &[("authorization", &anna)])
-        .expect(403);
-    let shown = server
-        .get("/metrics", &[("authorization", &admin)])
-        .expect(200);
+    server.get("/metrics", &[("authorization", &anna)]).expect(403);
+    let shown = server.get("/metrics", &[("authorization", &admin)]).expect(200);
     assert_eq!(shown.header("x-request-id").len(), 36);
     assert!(shown.text().contains("status=\"401\"} 1\n"));
 }
@@ -212,10 +183,7 @@ fn a_job_announces_its_expiry_and_goes_unless_pinned() {
     assert!(server.show(&stays)["expires_at"].is_null());
     // The test cannot wait for the notice period, so the deletion is called with a late time.
     with_store(&server, async |store| {
-        let gone = store
-            .delete_expired(i64::MAX, false)
-            .await
-            .expect("deleted");
+        let gone = store.delete_expired(i64::MAX, false).await.expect("deleted");
         assert_eq!(gone.jobs, std::slice::from_ref(&goes));
     });
     server.get(&format!("/v1/jobs/{goes}"), &[]).expect(404);

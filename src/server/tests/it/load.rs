@@ -31,22 +31,14 @@ fn renders_of_disconnected_clients_are_dropped() {
         })
         .collect();
     sleep(Duration::from_millis(300));
-    let busy = server
-        .get(&format!("/v1/jobs/{job}/render?azimuth=100"), &[])
-        .expect(503);
+    let busy = server.get(&format!("/v1/jobs/{job}/render?azimuth=100"), &[]).expect(503);
     assert_eq!(busy.json()["code"], "busy");
     assert!(!busy.header("retry-after").is_empty());
     drop(asked);
     sleep(Duration::from_millis(300));
     let start = Instant::now();
-    server
-        .get(&format!("/v1/jobs/{job}/render?azimuth=200"), &[])
-        .expect(200);
-    assert!(
-        start.elapsed() < Duration::from_secs(3),
-        "{:?}",
-        start.elapsed()
-    );
+    server.get(&format!("/v1/jobs/{job}/render?azimuth=200"), &[]).expect(200);
+    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
     let renders = server.data.path().join(format!("data/jobs/{job}/renders"));
     let half: Vec<_> = std::fs::read_dir(renders)
         .expect("folder")
@@ -76,10 +68,7 @@ fn a_full_queue_answers_503_with_retry_after() {
     let order = json!({ "capture_id": capture, "options": { "adapter": "slow:300" } });
     let submit = || server.post_json("/v1/jobs", &order, &[]);
     for _ in 0..2 {
-        let job = submit().expect(202).json()["id"]
-            .as_str()
-            .expect("id")
-            .to_owned();
+        let job = submit().expect(202).json()["id"].as_str().expect("id").to_owned();
         server.wait(&job, "running", |shown| shown["state"] == "running");
     }
     let waiting = submit().expect(202).json();
@@ -90,9 +79,7 @@ fn a_full_queue_answers_503_with_retry_after() {
     let parts = crate::support::photographs(1);
     server.upload("/v1/jobs", &parts, &[]).expect(503);
     let id = waiting["id"].as_str().expect("id");
-    server
-        .post(&format!("/v1/jobs/{id}/cancel"), b"", &[])
-        .expect(202);
+    server.post(&format!("/v1/jobs/{id}/cancel"), b"", &[]).expect(202);
     submit().expect(202);
 }
 
@@ -111,19 +98,15 @@ fn a_retry_needs_a_place_in_the_queue() {
     assert_eq!(refused.header("retry-after"), "60");
     assert_eq!(refused.json()["code"], "queue_full");
     assert_eq!(server.show(&failed)["state"], "failed");
-    server
-        .post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[])
-        .expect(202);
+    server.post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[]).expect(202);
     server.post(&retry, b"", &[]).expect(202);
 }
 
 /// Requests a view from another loopback address.
 fn ask_from(source: &str, server: &Server, path: &str) -> TcpStream {
     let address = server.base.trim_start_matches("http://");
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_io()
-        .build()
-        .expect("runtime");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_io().build().expect("runtime");
     let stream = runtime.block_on(async {
         let socket = tokio::net::TcpSocket::new_v4().expect("socket");
         let source = format!("{source}:0").parse().expect("address");
@@ -143,21 +126,13 @@ fn one_clients_many_renders_do_not_block_another_client() {
     let server = Server::start();
     let job = slow_scene(&server);
     let path = |i: i32| format!("/v1/jobs/{job}/render?azimuth={i}");
-    let many: Vec<TcpStream> = (0..40)
-        .map(|i| ask_from("127.0.0.1", &server, &path(i)))
-        .collect();
+    let many: Vec<TcpStream> = (0..40).map(|i| ask_from("127.0.0.1", &server, &path(i))).collect();
     sleep(Duration::from_millis(300));
     let start = Instant::now();
     let mut answer = Vec::new();
-    ask_from("127.0.0.2", &server, &path(100))
-        .read_to_end(&mut answer)
-        .expect("an answer");
+    ask_from("127.0.0.2", &server, &path(100)).read_to_end(&mut answer).expect("an answer");
     assert!(answer.starts_with(b"HTTP/1.1 200"), "{answer:?}");
-    assert!(
-        start.elapsed() < Duration::from_secs(3),
-        "{:?}",
-        start.elapsed()
-    );
+    assert!(start.elapsed() < Duration::from_secs(3), "{:?}", start.elapsed());
     drop(many);
 }
 
@@ -172,12 +147,7 @@ fn a_job_that_brings_down_its_server_finally_fails() {
     let failed = server.wait_state(&job, "failed");
     assert_eq!(failed["attempts"], 5);
     let detail = failed["error"]["detail"].as_str().expect("detail");
-    assert!(
-        detail.contains("server died") && detail.contains("5 times"),
-        "{detail}"
-    );
-    server
-        .post(&format!("/v1/jobs/{job}/retry"), b"", &[])
-        .expect(202);
+    assert!(detail.contains("server died") && detail.contains("5 times"), "{detail}");
+    server.post(&format!("/v1/jobs/{job}/retry"), b"", &[]).expect(202);
     server.wait(&job, "running", |shown| shown["state"] == "running");
 }

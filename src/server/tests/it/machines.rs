@@ -121,11 +121,7 @@ fn a_killed_or_frozen_worker_loses_only_its_job() {
     let back = Instant::now();
     let _third = farm.worker("third");
     api.wait(&job, "goes on", |shown| shown["attempts"] == 2);
-    assert!(
-        back.elapsed() < Duration::from_secs(4),
-        "{:?}",
-        back.elapsed()
-    );
+    assert!(back.elapsed() < Duration::from_secs(4), "{:?}", back.elapsed());
     succeeds(&api, &job, &calm);
 }
 
@@ -184,10 +180,7 @@ fn a_resumable_upload_survives_the_start_of_other_processes() {
 fn jobs_on_workers_killed_at_random_are_all_done_once() {
     // FLED_FARM="200 4 120" is the long run: jobs, workers, seconds.
     let asked = std::env::var("FLED_FARM").unwrap_or_else(|_| "40 3 20".to_owned());
-    let asked: Vec<u64> = asked
-        .split(' ')
-        .map(|n| n.parse().expect("a number"))
-        .collect();
+    let asked: Vec<u64> = asked.split(' ').map(|n| n.parse().expect("a number")).collect();
     let [jobs, count, seconds] = asked[..] else {
         panic!("three numbers");
     };
@@ -249,9 +242,7 @@ fn steps(api: &Client, job: &str, words: &str) -> Vec<u64> {
     let text = log.text();
     let told = text.split(words).skip(1);
     let digits = told.map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
-    digits
-        .map(|step| step.and_then(|step| step.parse().ok()).expect("a step"))
-        .collect()
+    digits.map(|step| step.and_then(|step| step.parse().ok()).expect("a step")).collect()
 }
 
 #[test]
@@ -300,8 +291,7 @@ fn a_stopping_server_lets_its_job_save_but_a_cancel_does_not() {
     assert_eq!(cancelled.expect(202).json()["state"], "cancelled");
     assert!(begun.elapsed() < Duration::from_millis(2500));
     // Its earlier checkpoint is complete.
-    api.post(&format!("/v1/jobs/{job}/retry"), b"", &[])
-        .expect(202);
+    api.post(&format!("/v1/jobs/{job}/retry"), b"", &[]).expect(202);
     api.wait_state(&job, "succeeded");
     assert_eq!(steps(&api, &job, "resumed at step "), [2]);
 }

@@ -67,9 +67,7 @@ fn a_video_is_made_and_sent_whole_and_in_ranges() {
     assert_eq!(part.body, b"ftyp");
     let tag = whole.header("etag").to_owned();
     server.get(&file, &[("if-none-match", &tag)]).expect(304);
-    server
-        .get(&file, &[("range", "bytes=99999999-")])
-        .expect(416);
+    server.get(&file, &[("range", "bytes=99999999-")]).expect(416);
     let list = server.get(&videos, &[]).expect(200).json();
     assert_eq!(list["videos"], json!([shown]));
     server.delete(&path).expect(204);
@@ -91,20 +89,13 @@ fn a_video_is_no_job_to_those_who_look_for_jobs() {
     for below in ["events", "log", "artifacts", "rounds", "videos"] {
         server.get(&format!("{path}/{below}"), &[]).expect(404);
     }
-    server
-        .post_json(&format!("{path}/cancel"), &json!({}), &[])
-        .expect(404);
-    server
-        .post_json(&format!("{path}/retry"), &json!({}), &[])
-        .expect(404);
+    server.post_json(&format!("{path}/cancel"), &json!({}), &[]).expect(404);
+    server.post_json(&format!("{path}/retry"), &json!({}), &[]).expect(404);
     server.put(&format!("{path}/pin")).expect(404);
     server.delete(&path).expect(404);
     wait_state(&server, &format!("{videos}/{video}"), "succeeded");
     let metrics = server.get("/metrics", &[]).expect(200).text();
-    assert!(
-        metrics.contains("fled_jobs{state=\"succeeded\"} 1"),
-        "{metrics}"
-    );
+    assert!(metrics.contains("fled_jobs{state=\"succeeded\"} 1"), "{metrics}");
     // Nor is it another job's.
     let other = server.job("ok");
     let there = format!("/v1/jobs/{other}/videos/{video}");
@@ -122,9 +113,7 @@ fn videos_queue_up_and_can_be_cancelled_at_any_time() {
     let half = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.01);
     let shown = wait(&server, &path(&first), "under way", half);
     assert_eq!(shown["state"], "running");
-    server
-        .get(&format!("{}/file", path(&first)), &[])
-        .expect(409);
+    server.get(&format!("{}/file", path(&first)), &[]).expect(409);
     let ahead = |id: &str| server.get(&path(id), &[]).expect(200).json()["ahead"].clone();
     assert_eq!((ahead(&second), ahead(&third)), (json!(1), json!(2)));
     server.delete(&path(&second)).expect(204);
@@ -134,23 +123,14 @@ fn videos_queue_up_and_can_be_cancelled_at_any_time() {
     assert!(gone(&first), "nothing of the first goes on");
     let folder = server.data.path().join("data/jobs");
     let is_there = |id: &String| folder.join(id).exists();
-    assert_eq!(
-        [&job, &first, &second, &third].map(is_there),
-        [true, false, false, true]
-    );
+    assert_eq!([&job, &first, &second, &third].map(is_there), [true, false, false, true]);
 }
 
 #[test]
 fn a_video_is_restarted_after_the_death_of_the_server() {
     let (mut server, _, videos) = stand();
-    let slow = format!(
-        "{videos}/{}",
-        id(server.post_json(&videos, &order(5, 3.0), &[]))
-    );
-    let next = format!(
-        "{videos}/{}",
-        id(server.post_json(&videos, &order(10, 1.0), &[]))
-    );
+    let slow = format!("{videos}/{}", id(server.post_json(&videos, &order(5, 3.0), &[])));
+    let next = format!("{videos}/{}", id(server.post_json(&videos, &order(10, 1.0), &[])));
     let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.1);
     wait(&server, &slow, "under way", begun);
     server.restart();
@@ -165,12 +145,7 @@ fn a_video_is_restarted_after_the_death_of_the_server() {
 #[test]
 fn a_failed_video_reports_why_and_the_next_is_made() {
     let (server, _, videos) = stand();
-    let of = |fps| {
-        format!(
-            "{videos}/{}",
-            id(server.post_json(&videos, &order(fps, 1.0), &[]))
-        )
-    };
+    let of = |fps| format!("{videos}/{}", id(server.post_json(&videos, &order(fps, 1.0), &[])));
     let (refused, dead, good) = (of(7), of(9), of(10));
     let shown = wait_state(&server, &refused, "failed");
     let detail = shown["error"]["detail"].as_str().expect("a detail");
@@ -199,21 +174,13 @@ fn invalid_video_requests_are_refused_with_a_reason() {
     post(&json!({ "kind": "orbit", "colour": "red" })).expect(422);
     post(&json!({ "kind": "path", "poses": [[[1]], 2] })).expect(422);
     post(&json!({ "kind": "orbit", "round": 9 })).expect(404);
-    for id in [
-        "none",
-        "..",
-        "%2e%2e",
-        "01234567-89ab-7def-8123-456789abcdef",
-    ] {
+    for id in ["none", "..", "%2e%2e", "01234567-89ab-7def-8123-456789abcdef"] {
         server.get(&format!("{videos}/{id}"), &[]).expect(404);
     }
     for _ in 0..20 {
         id(post(&order(7, 1.0)));
     }
-    assert_eq!(
-        post(&order(7, 1.0)).expect(409).json()["code"],
-        "too_many_videos"
-    );
+    assert_eq!(post(&order(7, 1.0)).expect(409).json()["code"], "too_many_videos");
     let unfinished = server.job("slow:100");
     let path = format!("/v1/jobs/{unfinished}/videos");
     let early = server.post_json(&path, &order(10, 1.0), &[]).expect(409);
@@ -228,10 +195,7 @@ fn a_missing_ffmpeg_is_reported_with_a_hint() {
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
     let path = format!("/v1/jobs/{job}/videos");
-    let problem = server
-        .post_json(&path, &order(10, 1.0), &[])
-        .expect(503)
-        .json();
+    let problem = server.post_json(&path, &order(10, 1.0), &[]).expect(503).json();
     assert_eq!(problem["code"], "no_ffmpeg");
     let hint = problem["hint"].as_str().expect("a hint");
     assert!(hint.contains("apt-get install ffmpeg"), "{hint}");
@@ -256,10 +220,7 @@ fn deleting_a_job_stops_its_running_video() {
 #[test]
 fn a_share_link_shows_videos_but_cannot_make_any() {
     let (server, job, videos) = stand();
-    let path = format!(
-        "{videos}/{}",
-        id(server.post_json(&videos, &order(10, 1.0), &[]))
-    );
+    let path = format!("{videos}/{}", id(server.post_json(&videos, &order(10, 1.0), &[])));
     wait_state(&server, &path, "succeeded");
     let (admin, _) = token_of("root", &server, "admin");
     let shares = format!("/v1/jobs/{job}/shares");
@@ -271,17 +232,13 @@ fn a_share_link_shows_videos_but_cannot_make_any() {
     for seen in [&videos, &path, &file] {
         server.get(seen, &with).expect(200);
     }
-    server
-        .post_json(&videos, &order(10, 1.0), &with)
-        .expect(403);
+    server.post_json(&videos, &order(10, 1.0), &with).expect(403);
     server.delete_as(&path, &with).expect(403);
     let (stranger, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let with = [("authorization", stranger.as_str())];
     for hidden in [&videos, &path, &file] {
         server.get(hidden, &with).expect(404);
     }
-    server
-        .post_json(&videos, &order(10, 1.0), &with)
-        .expect(404);
+    server.post_json(&videos, &order(10, 1.0), &with).expect(404);
     server.delete_as(&path, &with).expect(404);
 }

@@ -10,9 +10,7 @@ const MIB: u64 = 1 << 20;
 #[test]
 fn a_text_field_of_300_mb_is_refused_without_buffering() {
     let server = Server::start();
-    server
-        .upload("/v1/captures?dry_run", &photographs(3), &[])
-        .expect(200);
+    server.upload("/v1/captures?dry_run", &photographs(3), &[]).expect(200);
     let before = server.peak_memory();
     for head in [
         // A field without an end, a header without an end, and no header at all.
@@ -42,10 +40,7 @@ fn pour(server: &Server, head: &[u8], bytes: u64) {
     for _ in 0..bytes / MIB {
         match stream.write_all(&letters) {
             Err(error)
-                if matches!(
-                    error.kind(),
-                    ErrorKind::BrokenPipe | ErrorKind::ConnectionReset
-                ) =>
+                if matches!(error.kind(), ErrorKind::BrokenPipe | ErrorKind::ConnectionReset) =>
             {
                 return;
             }

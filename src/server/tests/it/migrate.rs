@@ -73,16 +73,7 @@ impl Old {
         paths.push(format!("/v1/jobs?capture_id={capture}"));
         let seen = look(&server, paths, &admin);
         server.kill();
-        Self {
-            server,
-            admin,
-            done,
-            running,
-            waiting,
-            waits,
-            capture,
-            seen,
-        }
+        Self { server, admin, done, running, waiting, waits, capture, seen }
     }
 
     fn data(&self) -> PathBuf {
@@ -136,10 +127,8 @@ impl Target {
     }
 
     fn migrate(&self, data: &Path, url: &str, store: &str) -> Result<Migrated> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .expect("runtime");
+        let runtime =
+            tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
         runtime.block_on(migrate(data, url, &self.store(store)))
     }
 
@@ -173,9 +162,8 @@ fn refused(outcome: Result<Migrated>, words: &str) {
 /// Checks that the numbers of an event stream have no gap.
 fn has_no_gap(events: &str) {
     let numbers = events.lines().filter_map(|line| line.strip_prefix("id:"));
-    let numbers: Vec<i64> = numbers
-        .map(|number| number.trim().parse().expect("a number"))
-        .collect();
+    let numbers: Vec<i64> =
+        numbers.map(|number| number.trim().parse().expect("a number")).collect();
     assert!(numbers.len() > 10, "{events}");
     assert!(numbers.iter().copied().eq(1..=numbers.len() as i64));
 }
@@ -201,10 +189,7 @@ fn a_migrated_server_gives_the_same_answers_and_resumes_jobs() {
     let new = Target::new();
     let url = new.postgres.database();
     let done = new.migrate(&old.data(), &url, "store").expect("moved");
-    assert!(
-        done.rows > 100 && done.files > 20 && done.bytes > 0,
-        "{done:?}"
-    );
+    assert!(done.rows > 100 && done.files > 20 && done.bytes > 0, "{done:?}");
     assert_eq!(done.uploads, 1);
 
     let api = new.serve(&url, "store", "0");
@@ -262,8 +247,5 @@ fn a_failed_migration_leaves_no_row_and_the_old_server_intact() {
     stored.capture(3);
     stored.kill();
     let stored = stored.data.path().join("data");
-    refused(
-        new.migrate(&stored, &other, "another"),
-        "in a store already",
-    );
+    refused(new.migrate(&stored, &other, "another"), "in a store already");
 }

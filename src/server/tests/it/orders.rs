@@ -32,23 +32,14 @@ fn an_unknown_network_is_refused_with_the_known_ones() {
     let networks = post(json!({ "deblur": "/etc/hostname" }));
     assert_eq!(networks["pointer"], "/options/deblur");
     assert!(
-        networks["detail"]
-            .as_str()
-            .is_some_and(|text| text.contains("identity")),
+        networks["detail"].as_str().is_some_and(|text| text.contains("identity")),
         "{networks:#}"
     );
     let enhance = post(json!({ "enhance": "identity" }));
-    assert!(
-        enhance["detail"]
-            .as_str()
-            .is_some_and(|text| text.contains("curve")),
-        "{enhance:#}"
-    );
+    assert!(enhance["detail"].as_str().is_some_and(|text| text.contains("curve")), "{enhance:#}");
     let guided = post(json!({ "enhance": "default" }));
     assert!(
-        guided["detail"]
-            .as_str()
-            .is_some_and(|text| text.contains("requires a guide")),
+        guided["detail"].as_str().is_some_and(|text| text.contains("requires a guide")),
         "{guided:#}"
     );
 }
@@ -58,26 +49,14 @@ fn a_malformed_order_is_refused() {
     let server = Server::start();
     let capture = server.capture(3);
     let reply = server
-        .post_json(
-            "/v1/jobs",
-            &json!({ "capture_id": capture, "preset": "fast" }),
-            &[],
-        )
+        .post_json("/v1/jobs", &json!({ "capture_id": capture, "preset": "fast" }), &[])
         .expect(422);
     assert_eq!(reply.json()["pointer"], "/preset");
-    let reply = server
-        .post_json("/v1/jobs", &json!({ "capture_id": "none" }), &[])
-        .expect(404);
+    let reply = server.post_json("/v1/jobs", &json!({ "capture_id": "none" }), &[]).expect(404);
     assert_eq!(reply.json()["pointer"], "/capture_id");
-    server
-        .post_json("/v1/jobs", &json!({ "capture": "x" }), &[])
-        .expect(422);
-    server
-        .post("/v1/jobs", b"{", &[("content-type", "application/json")])
-        .expect(400);
-    server
-        .post("/v1/jobs", b"{}", &[("content-type", "text/plain")])
-        .expect(415);
+    server.post_json("/v1/jobs", &json!({ "capture": "x" }), &[]).expect(422);
+    server.post("/v1/jobs", b"{", &[("content-type", "application/json")]).expect(400);
+    server.post("/v1/jobs", b"{}", &[("content-type", "text/plain")]).expect(415);
 }
 
 #[test]
@@ -133,17 +112,10 @@ fn queued_jobs_run_in_order_of_priority() {
     parts.push(text("priority", "7"));
     let form = id(&server.upload("/v1/jobs", &parts, &[]).expect(202));
     let order = [most, form, none, least];
-    let job = |id: &str| {
-        server
-            .get(&format!("/v1/jobs/{id}"), &[])
-            .expect(200)
-            .json()
-    };
+    let job = |id: &str| server.get(&format!("/v1/jobs/{id}"), &[]).expect(200).json();
     let places = order.each_ref().map(|id| job(id)["queue_position"].clone());
     assert_eq!(places, [1, 2, 3, 4].map(Value::from));
-    server
-        .post(&format!("/v1/jobs/{busy}/cancel"), b"", &[])
-        .expect(202);
+    server.post(&format!("/v1/jobs/{busy}/cancel"), b"", &[]).expect(202);
     let began = order.each_ref().map(|id| {
         server.wait_state(id, "succeeded");
         job(id)["started_at"].as_str().expect("a time").to_owned()
@@ -172,17 +144,11 @@ fn the_priority_of_a_queued_job_can_be_changed() {
     };
     assert_eq!((place(&first), place(&second)), (json!(1), json!(2)));
     let shown = set(&second, json!({ "priority": 3 })).expect(200).json();
-    assert_eq!(
-        (&shown["priority"], &shown["queue_position"]),
-        (&json!(3), &json!(1))
-    );
+    assert_eq!((&shown["priority"], &shown["queue_position"]), (&json!(3), &json!(1)));
     assert_eq!((place(&first), place(&second)), (json!(2), json!(1)));
-    for bad in [
-        json!({ "priority": 101 }),
-        json!({ "priority": 0.5 }),
-        json!({}),
-        json!({ "urgency": 1 }),
-    ] {
+    for bad in
+        [json!({ "priority": 101 }), json!({ "priority": 0.5 }), json!({}), json!({ "urgency": 1 })]
+    {
         set(&second, bad).expect(422);
     }
     set("none", json!({ "priority": 1 })).expect(404);
@@ -204,15 +170,11 @@ fn an_invalid_priority_is_refused_with_a_pointer_to_it() {
     let server = Server::start();
     let capture = server.capture(3);
     for bad in [json!(101), json!(-101), json!(1.5), json!(1e30)] {
-        let refused = server
-            .post_json("/v1/jobs", &urgent(&capture, &bad), &[])
-            .expect(422);
+        let refused = server.post_json("/v1/jobs", &urgent(&capture, &bad), &[]).expect(422);
         assert_eq!(refused.json()["pointer"], "/priority", "{bad}");
         assert_eq!(refused.json()["code"], "bad_input", "{bad}");
     }
-    server
-        .post_json("/v1/jobs", &urgent(&capture, &json!("high")), &[])
-        .expect(422);
+    server.post_json("/v1/jobs", &urgent(&capture, &json!("high")), &[]).expect(422);
     let uploads = json!({ "uploads": ["none"], "priority": 101 });
     let refused = server.post_json("/v1/jobs", &uploads, &[]).expect(422);
     assert_eq!(refused.json()["pointer"], "/priority");
@@ -222,10 +184,7 @@ fn an_invalid_priority_is_refused_with_a_pointer_to_it() {
         let refused = server.upload("/v1/jobs", &parts, &[]).expect(422);
         assert_eq!(refused.json()["pointer"], "/priority", "{bad}");
     }
-    assert_eq!(
-        server.get("/v1/jobs", &[]).expect(200).json()["jobs"],
-        json!([])
-    );
+    assert_eq!(server.get("/v1/jobs", &[]).expect(200).json()["jobs"], json!([]));
 }
 
 #[test]
@@ -234,9 +193,7 @@ fn only_an_admin_sets_a_priority_above_0() {
     let (anna, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let (admin, _) = token(&server, "admin");
     let anna = [("authorization", anna.as_str())];
-    let capture = id(&server
-        .upload("/v1/captures", &photographs(3), &anna)
-        .expect(201));
+    let capture = id(&server.upload("/v1/captures", &photographs(3), &anna).expect(201));
     let ask = |priority: i64, header: &[(&str, &str)]| {
         let order = urgent(&capture, &json!(priority));
         server.post_json("/v1/jobs", &order, header)
@@ -244,16 +201,8 @@ fn only_an_admin_sets_a_priority_above_0() {
     let refused = ask(1, &anna).expect(403).json();
     assert_eq!(refused["code"], "missing_scope");
     assert_eq!(refused["pointer"], "/priority");
-    assert!(
-        refused["detail"]
-            .as_str()
-            .is_some_and(|text| text.contains("admin"))
-    );
-    assert!(
-        refused["hint"]
-            .as_str()
-            .is_some_and(|text| text.contains("0 or less"))
-    );
+    assert!(refused["detail"].as_str().is_some_and(|text| text.contains("admin")));
+    assert!(refused["hint"].as_str().is_some_and(|text| text.contains("0 or less")));
     let mut parts = photographs(3);
     parts.push(text("priority", "1"));
     server.upload("/v1/jobs", &parts, &anna).expect(403);

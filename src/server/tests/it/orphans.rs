@@ -11,9 +11,8 @@ use crate::support::{Server, deflated, photograph};
 
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("folder").flatten();
-    let mut names: Vec<String> = entries
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
 }
@@ -22,9 +21,8 @@ fn names(folder: &Path) -> Vec<String> {
 fn uploads_of_disconnected_clients_leave_nothing() {
     let server = Server::start();
     let data = server.data.path().join("data");
-    let files: Vec<(String, Vec<u8>)> = (0..12)
-        .map(|i| (format!("images/{i}.png"), photograph(i)))
-        .collect();
+    let files: Vec<(String, Vec<u8>)> =
+        (0..12).map(|i| (format!("images/{i}.png"), photograph(i))).collect();
     let files: Vec<(&str, Vec<u8>)> = files.iter().map(|(n, c)| (n.as_str(), c.clone())).collect();
     let mut body = b"--XXXX\r\nContent-Disposition: form-data; name=\"images\"; \
         filename=\"a.zip\"\r\n\r\n"
@@ -52,11 +50,7 @@ fn uploads_of_disconnected_clients_leave_nothing() {
     }
     let told = server.get("/v1/captures?limit=200", &[]).expect(200).json();
     let told = told["captures"].as_array().expect("captures").len();
-    assert_eq!(
-        names(&data.join("captures")).len(),
-        told,
-        "files without a row"
-    );
+    assert_eq!(names(&data.join("captures")).len(), told, "files without a row");
 }
 
 #[test]
@@ -64,9 +58,7 @@ fn a_restart_moves_orphans_aside_and_keeps_the_rest() {
     let mut server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    server
-        .get(&format!("/v1/jobs/{job}/render?azimuth=1"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{job}/render?azimuth=1"), &[]).expect(200);
     let data = server.data.path().join("data");
     let (captures, jobs) = (names(&data.join("captures")), names(&data.join("jobs")));
     let renders = data.join("jobs").join(&job).join("renders");
@@ -81,9 +73,7 @@ fn a_restart_moves_orphans_aside_and_keeps_the_rest() {
     assert_eq!(names(&data.join("jobs")), jobs);
     assert_eq!(names(&renders), pictures);
     assert!(names(&data.join("incoming")).is_empty());
-    server
-        .get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[])
-        .expect(200);
+    server.get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[]).expect(200);
 }
 
 #[test]
@@ -118,10 +108,7 @@ fn a_database_restored_from_an_older_backup_loses_no_capture() {
     server.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
     server.get(&format!("/v1/jobs/{old}"), &[]).expect(200);
     let unnamed = data.join("unnamed");
-    assert_eq!(
-        names(&unnamed.join("captures")),
-        std::slice::from_ref(&capture)
-    );
+    assert_eq!(names(&unnamed.join("captures")), std::slice::from_ref(&capture));
     assert_eq!(names(&unnamed.join("jobs")), std::slice::from_ref(&job));
     assert!(!data.join("jobs").join(&job).exists());
     // As the log advises: the right database, and the folders moved back.

@@ -8,59 +8,27 @@ fn results_are_sent_whole_in_ranges_or_as_not_modified() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    let list = server
-        .get(&format!("/v1/jobs/{job}/artifacts"), &[])
-        .expect(200)
-        .json();
+    let list = server.get(&format!("/v1/jobs/{job}/artifacts"), &[]).expect(200).json();
     let artifacts = list["artifacts"].as_array().expect("list");
-    let names: Vec<&str> = artifacts
-        .iter()
-        .filter_map(|a| a["name"].as_str())
-        .collect();
-    for name in [
-        "scene.ply",
-        "cameras.json",
-        "metrics.json",
-        "rounds/1/renders/000.jpg",
-        "inputs/003.jpg",
-    ] {
+    let names: Vec<&str> = artifacts.iter().filter_map(|a| a["name"].as_str()).collect();
+    for name in
+        ["scene.ply", "cameras.json", "metrics.json", "rounds/1/renders/000.jpg", "inputs/003.jpg"]
+    {
         assert!(names.contains(&name), "{name} is missing in {names:?}");
     }
-    assert!(
-        !names.iter().any(|name| name.starts_with('.')),
-        "private files are listed"
-    );
+    assert!(!names.iter().any(|name| name.starts_with('.')), "private files are listed");
     let path = format!("/v1/jobs/{job}/artifacts/scene.ply");
     let whole = server.get(&path, &[]).expect(200);
     assert_eq!(whole.text(), "ply of round 2");
     // printf 'ply of round 2' | sha256sum
-    let scene = artifacts
-        .iter()
-        .find(|a| a["name"] == "scene.ply")
-        .expect("listed");
-    assert_eq!(
-        whole.header("etag"),
-        format!("\"{}\"", scene["sha256"].as_str().expect("digest"))
-    );
+    let scene = artifacts.iter().find(|a| a["name"] == "scene.ply").expect("listed");
+    assert_eq!(whole.header("etag"), format!("\"{}\"", scene["sha256"].as_str().expect("digest")));
     let part = server.get(&path, &[("range", "bytes=4-5")]).expect(206);
-    assert_eq!(
-        (part.text().as_str(), part.header("content-range")),
-        ("of", "bytes 4-5/14")
-    );
+    assert_eq!((part.text().as_str(), part.header("content-range")), ("of", "bytes 4-5/14"));
     server.get(&path, &[("range", "bytes=99-")]).expect(416);
-    server
-        .get(&path, &[("if-none-match", whole.header("etag"))])
-        .expect(304);
-    for name in [
-        "..%2f..%2ffled.db",
-        "../../fled.db",
-        ".done-poses-0",
-        "none",
-        "rounds",
-    ] {
-        let status = server
-            .get(&format!("/v1/jobs/{job}/artifacts/{name}"), &[])
-            .status;
+    server.get(&path, &[("if-none-match", whole.header("etag"))]).expect(304);
+    for name in ["..%2f..%2ffled.db", "../../fled.db", ".done-poses-0", "none", "rounds"] {
+        let status = server.get(&format!("/v1/jobs/{job}/artifacts/{name}"), &[]).status;
         assert_eq!(status, 404, "{name}");
     }
 }
@@ -71,10 +39,7 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
     let job = server.job("slow:40");
     server.wait(&job, "running", |shown| shown["state"] == "running");
     let render = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
-    assert_eq!(
-        render("azimuth=10").expect(409).json()["code"],
-        "no_scene_yet"
-    );
+    assert_eq!(render("azimuth=10").expect(409).json()["code"], "no_scene_yet");
     server.wait(&job, "in round 2", |shown| shown["round"] == 2);
     let picture = render("azimuth=10&elevation=5&width=64").expect(200);
     assert_eq!(
@@ -88,19 +53,10 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
             &[("if-none-match", &tag)],
         )
         .expect(304);
-    assert_ne!(
-        render("azimuth=20&elevation=5&width=64")
-            .expect(200)
-            .header("etag"),
-        tag
-    );
+    assert_ne!(render("azimuth=20&elevation=5&width=64").expect(200).header("etag"), tag);
     let png = render("view=001&format=png&round=1").expect(200);
     assert_eq!(&png.body[1..4], b"PNG");
-    assert_eq!(
-        (png.body[19], png.body[23]),
-        (160, 90),
-        "the view's own size"
-    );
+    assert_eq!((png.body[19], png.body[23]), (160, 90), "the view's own size");
     let depth = render("view=001&format=png&round=1&show=depth").expect(200);
     assert_ne!(depth.header("etag"), png.header("etag"));
     assert_ne!(depth.body, png.body);
@@ -112,9 +68,7 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
     render("azimut=1").expect(422);
     server.wait_state(&job, "succeeded");
     assert_ne!(
-        render("azimuth=10&elevation=5&width=64")
-            .expect(200)
-            .header("etag"),
+        render("azimuth=10&elevation=5&width=64").expect(200).header("etag"),
         tag,
         "the delivered scene is another"
     );
@@ -145,9 +99,7 @@ fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
     live(picture.header("etag")).expect(304);
     let list = server.get(&format!("/v1/jobs/{job}/artifacts"), &[]);
     assert!(!list.text().contains("training.jpg"), "it is no result");
-    server
-        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
-        .expect(202);
+    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202);
     server.wait_state(&job, "cancelled");
     live("").expect(204);
     let left = format!("data/jobs/{job}/output/work/training.jpg");
@@ -180,16 +132,11 @@ fn a_custom_camera_must_be_rigid() {
     server.wait_state(&job, "succeeded");
     let camera = json!({ "world_to_camera": [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,4.0],[0.0,0.0,0.0,1.0]],
         "intrinsics": { "width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0 }, "format": "png" });
-    server
-        .post_json(&format!("/v1/jobs/{job}/render"), &camera, &[])
-        .expect(200);
+    server.post_json(&format!("/v1/jobs/{job}/render"), &camera, &[]).expect(200);
     let mut skewed = camera.clone();
     skewed["world_to_camera"][0][0] = json!(2.0);
     assert_eq!(
-        server
-            .post_json(&format!("/v1/jobs/{job}/render"), &skewed, &[])
-            .expect(422)
-            .json()["code"],
+        server.post_json(&format!("/v1/jobs/{job}/render"), &skewed, &[]).expect(422).json()["code"],
         "bad_camera"
     );
 }

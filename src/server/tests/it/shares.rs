@@ -58,14 +58,8 @@ fn a_share_link_shows_only_its_job() {
     let (link, id) = link(&server, &job, &admin);
     let with = [("authorization", link.as_str())];
     let of = |job: &str, path: &str| format!("/v1/jobs/{job}{path}");
-    let seen = [
-        "",
-        "/rounds",
-        "/events",
-        "/render?azimuth=1",
-        "/artifacts",
-        "/artifacts/scene.ply",
-    ];
+    let seen =
+        ["", "/rounds", "/events", "/render?azimuth=1", "/artifacts", "/artifacts/scene.ply"];
     for path in seen {
         server.get(&of(&job, path), &with).expect(200);
         server.get(&of(&other, path), &with).expect(404);
@@ -94,18 +88,12 @@ fn a_share_link_shows_only_its_job() {
     server.delete_as(&of(&job, ""), &with).expect(403);
     let name = br#"{"name":"a"}"#;
     let headers = [with[0], ("content-type", "application/json")];
-    server
-        .ask("PATCH", &of(&job, ""), &headers, name)
-        .expect(403);
-    server
-        .delete_as(&of(&job, &format!("/shares/{id}")), &with)
-        .expect(403);
+    server.ask("PATCH", &of(&job, ""), &headers, name).expect(403);
+    server.delete_as(&of(&job, &format!("/shares/{id}")), &with).expect(403);
     make(&server, &job, &link, &json!({})).expect(403);
     let upload = server.upload("/v1/captures", &crate::support::photographs(3), &with);
     upload.expect(403);
-    server
-        .get(&of(&job, ""), &[("authorization", &admin)])
-        .expect(200);
+    server.get(&of(&job, ""), &[("authorization", &admin)]).expect(200);
 }
 
 /// Checks that the owner sees the log among the files, and the holder of a link does not.
@@ -117,9 +105,7 @@ fn check_log_is_hidden(server: &Server, job: &str, owner: &str, link: &str) {
         let with = [("authorization", header)];
         let listed = server.get(&files, &with).expect(200).text();
         assert_eq!(listed.contains("log.txt"), is_listed);
-        server
-            .get(&format!("{files}/log.txt"), &with)
-            .expect(status);
+        server.get(&format!("{files}/log.txt"), &with).expect(status);
     }
 }
 
@@ -129,19 +115,9 @@ fn a_browser_with_a_share_link_learns_its_job() {
     let (admin, _) = token_of("root", &server, "admin");
     let (link, _) = link(&server, &job, &admin);
     let token = link.trim_start_matches("Bearer ");
-    let login = server
-        .post_json("/login", &json!({ "token": token }), &[])
-        .expect(204);
-    let cookie = login
-        .header("set-cookie")
-        .split(';')
-        .next()
-        .expect("cookie")
-        .to_owned();
-    let session = server
-        .get("/login", &[("cookie", &cookie)])
-        .expect(200)
-        .json();
+    let login = server.post_json("/login", &json!({ "token": token }), &[]).expect(204);
+    let cookie = login.header("set-cookie").split(';').next().expect("cookie").to_owned();
+    let session = server.get("/login", &[("cookie", &cookie)]).expect(200).json();
     assert_eq!(session["job"], json!(job));
     let page = server.get(&format!("/v1/jobs/{job}"), &[("cookie", &cookie)]);
     page.expect(200);
@@ -157,9 +133,7 @@ fn a_share_link_ends_with_its_expiry_its_creator_or_its_job() {
     let holds = |link: &str| server.get(&path, &[("authorization", link)]).status == 200;
     let told = || {
         let told = server.get(&format!("{path}/shares"), &[("authorization", &admin)]);
-        told.expect(200).json()["shares"]
-            .as_array()
-            .map_or(0, Vec::len)
+        told.expect(200).json()["shares"].as_array().map_or(0, Vec::len)
     };
 
     let (ended, id) = link(&server, &job, &admin);
@@ -183,20 +157,12 @@ fn a_share_link_ends_with_its_expiry_its_creator_or_its_job() {
 
     let soon = now_ms() + 3_600_000;
     let (short, _) = token_until(&server, "root", "admin", soon);
-    let made = make(&server, &job, &short, &json!({ "days": 30 }))
-        .expect(201)
-        .json();
-    let ends: jiff::Timestamp = made["expires_at"]
-        .as_str()
-        .expect("time")
-        .parse()
-        .expect("time");
+    let made = make(&server, &job, &short, &json!({ "days": 30 })).expect(201).json();
+    let ends: jiff::Timestamp = made["expires_at"].as_str().expect("time").parse().expect("time");
     assert_eq!(ends.as_millisecond(), soon, "no longer than its maker");
 
     let (last, _) = link(&server, &job, &admin);
-    server
-        .delete_as(&path, &[("authorization", &admin)])
-        .expect(204);
+    server.delete_as(&path, &[("authorization", &admin)]).expect(204);
     server.get(&path, &[("authorization", &last)]).expect(401);
 }
 
@@ -217,13 +183,7 @@ fn invalid_share_requests_are_refused_with_a_reason() {
         assert_eq!(refused.json()["pointer"], pointer, "{wanted}");
     }
     make(&server, &job, &admin, &json!({ "until": 1 })).expect(422);
-    make(
-        &server,
-        "01234567-89ab-7def-8123-456789abcdef",
-        &admin,
-        &json!({}),
-    )
-    .expect(404);
+    make(&server, "01234567-89ab-7def-8123-456789abcdef", &admin, &json!({})).expect(404);
     let (stranger, _) = token_of("anna", &server, MAKES);
     make(&server, &job, &stranger, &json!({})).expect(404);
     for _ in 0..100 {
@@ -241,19 +201,13 @@ fn a_share_link_needs_the_scopes_that_it_grants() {
     let capture = server.upload("/v1/captures", &crate::support::photographs(3), &with);
     let capture = capture.expect(201).json()["id"].clone();
     let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
-    let job = server
-        .post_json("/v1/jobs", &order, &with)
-        .expect(202)
-        .json();
+    let job = server.post_json("/v1/jobs", &order, &with).expect(202).json();
     let job = job["id"].as_str().expect("id");
     let (blind, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let refused = make(&server, job, &blind, &json!({})).expect(403);
     assert_eq!(refused.json()["code"], "missing_scope");
     make(&server, job, &all, &json!({ "name": "for Bob" })).expect(201);
-    let told = server
-        .get(&format!("/v1/jobs/{job}/shares"), &with)
-        .expect(200)
-        .json();
+    let told = server.get(&format!("/v1/jobs/{job}/shares"), &with).expect(200).json();
     assert_eq!(told["shares"][0]["name"], "for Bob");
     assert!(told["shares"][0].get("token").is_none());
 }

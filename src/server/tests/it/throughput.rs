@@ -41,14 +41,9 @@ async fn copy(url: &str, job: &str, count: usize, state: &str) {
          FROM jobs, t WHERE id = '{job}'",
         numbers(url, count)
     );
-    let made = sqlx::query(sqlx::AssertSqlSafe(copies))
-        .execute(&pool)
-        .await;
+    let made = sqlx::query(sqlx::AssertSqlSafe(copies)).execute(&pool).await;
     assert_eq!(made.expect("copied").rows_affected(), count as u64);
-    sqlx::query("ANALYZE")
-        .execute(&pool)
-        .await
-        .expect("analysed");
+    sqlx::query("ANALYZE").execute(&pool).await.expect("analysed");
     pool.close().await;
 }
 
@@ -64,10 +59,7 @@ fn claims(url: &str, job: &str) -> f64 {
             tokio::spawn(async move {
                 let mut mine = 0;
                 loop {
-                    let claim = store
-                        .claim(&name.to_string(), 60_000, &[])
-                        .await
-                        .expect("asks");
+                    let claim = store.claim(&name.to_string(), 60_000, &[]).await.expect("asks");
                     let Some(claim) = claim else {
                         return mine;
                     };
@@ -99,11 +91,7 @@ fn list(api: &Client) -> (f64, f64) {
             let listed = api.get(&format!("/v1/jobs{page}"), &[]).expect(200);
             let took = begun.elapsed().as_secs_f64() * 1000.0;
             let listed = listed.json();
-            assert!(
-                listed["jobs"]
-                    .as_array()
-                    .is_some_and(|jobs| !jobs.is_empty())
-            );
+            assert!(listed["jobs"].as_array().is_some_and(|jobs| !jobs.is_empty()));
             // Start again after the last page.
             let next = listed["next_cursor"].as_str();
             page = next.map_or(String::new(), |next| format!("?cursor={next}"));
@@ -128,10 +116,8 @@ fn used(pid: u32) -> f64 {
     let told = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("it lives");
     let after = told.rsplit_once(')').expect("a name").1;
     let fields: Vec<&str> = after.split_whitespace().collect();
-    let ticks: f64 = [fields[11], fields[12]]
-        .iter()
-        .map(|field| field.parse::<f64>().expect("a number"))
-        .sum();
+    let ticks: f64 =
+        [fields[11], fields[12]].iter().map(|field| field.parse::<f64>().expect("a number")).sum();
     ticks / 100.0
 }
 
@@ -183,10 +169,7 @@ fn sqlite_serves_100_000_jobs_and_200_streams() {
     let mut server = Server::start_with(&[("FLED_FAKE_RATE", "0")]);
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    let url = format!(
-        "sqlite:{}",
-        server.data.path().join("data/fled.db").display()
-    );
+    let url = format!("sqlite:{}", server.data.path().join("data/fled.db").display());
     let lists = lists(&server, &url, &job);
     let running = server.job("slow:600");
     server.wait(&running, "runs", |shown| shown["state"] == "running");

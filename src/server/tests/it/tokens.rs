@@ -21,11 +21,7 @@ fn job_of(server: &Server, header: &str) -> (String, String) {
         if shown.json()["state"] == "succeeded" {
             return (capture, job);
         }
-        assert!(
-            start.elapsed() < Duration::from_secs(30),
-            "{}",
-            shown.text()
-        );
+        assert!(start.elapsed() < Duration::from_secs(30), "{}", shown.text());
         sleep(Duration::from_millis(20));
     }
 }
@@ -55,35 +51,24 @@ fn once_a_token_exists_every_request_needs_one() {
         assert!(refused.header("www-authenticate").starts_with("Bearer"));
         assert_eq!(refused.header("content-type"), "application/problem+json");
         server.get(path, &[("authorization", &admin)]).expect(200);
-        server
-            .get(path, &[("authorization", "Bearer fled_0")])
-            .expect(401);
+        server.get(path, &[("authorization", "Bearer fled_0")]).expect(401);
     }
     server.post(&of("/retry"), b"", &[]).expect(401);
     server.post(&of("/cancel"), b"", &[]).expect(401);
     server.delete(&of("")).expect(401);
-    server
-        .upload("/v1/captures", &photographs(3), &[])
-        .expect(401);
+    server.upload("/v1/captures", &photographs(3), &[]).expect(401);
     // Only the header counts: URLs are written to logs.
     let secret = admin.trim_start_matches("Bearer ");
     for named in ["token", "access_token"] {
-        server
-            .get(&format!("/v1/options?{named}={secret}"), &[])
-            .expect(401);
+        server.get(&format!("/v1/options?{named}={secret}"), &[]).expect(401);
     }
     for open in ["/", "/assets/main.js", "/livez", "/openapi.yaml"] {
         server.get(open, &[]).expect(200);
     }
     server.get("/readyz", &[]).expect(503);
     server.get("/nowhere", &[]).expect(404);
-    assert!(with_store(&server, async |store| store
-        .revoke_token(&id)
-        .await
-        .expect("done")));
-    server
-        .get("/v1/jobs", &[("authorization", &admin)])
-        .expect(401);
+    assert!(with_store(&server, async |store| store.revoke_token(&id).await.expect("done")));
+    server.get("/v1/jobs", &[("authorization", &admin)]).expect(401);
     server.get("/v1/jobs", &[]).expect(401);
 }
 
@@ -110,14 +95,10 @@ fn a_token_allows_what_its_scopes_say() {
     ] {
         let headers = [("authorization", header.as_str())];
         server.get(&show, &headers).expect(show_status);
-        server
-            .post_json("/v1/jobs", &order, &headers)
-            .expect(order_status);
+        server.post_json("/v1/jobs", &order, &headers).expect(order_status);
         server.get(&render, &headers).expect(render_status);
     }
-    let refused = server
-        .get(&show, &[("authorization", &renders)])
-        .expect(403);
+    let refused = server.get(&show, &[("authorization", &renders)]).expect(403);
     assert_eq!(refused.json()["code"], "missing_scope");
     let detail = refused.json()["detail"].as_str().map(str::to_owned);
     assert!(detail.is_some_and(|detail| detail.contains("jobs:read")));
@@ -152,27 +133,19 @@ fn a_browser_logs_in_and_out_with_a_cookie() {
     let wrong = json!({ "token": "fled_0" });
     server.post_json("/login", &wrong, &[own]).expect(401);
     let right = json!({ "token": secret });
-    let evil = [
-        ("origin", "https://evil.example"),
-        ("sec-fetch-site", "cross-site"),
-    ];
+    let evil = [("origin", "https://evil.example"), ("sec-fetch-site", "cross-site")];
     server.post_json("/login", &right, &evil).expect(403);
     let tls = [own, ("x-forwarded-proto", "https")];
     let secure = server.post_json("/login", &right, &tls).expect(204);
     assert!(secure.header("set-cookie").contains("; Secure"));
     let session = cookie(&server.post_json("/login", &right, &[own]).expect(204));
-    assert!(
-        !session.contains(secret),
-        "the token itself is in no cookie"
-    );
+    assert!(!session.contains(secret), "the token itself is in no cookie");
     let browser = [("cookie", session.as_str())];
     let told = server.get("/login", &browser).expect(200).json();
     assert_eq!(told, who(true, Some("jobs:read,renders")));
     // Requests to which a page cannot add a header: the event stream and images.
     for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {
-        server
-            .get(&format!("/v1/jobs/{job}{path}"), &browser)
-            .expect(200);
+        server.get(&format!("/v1/jobs/{job}{path}"), &browser).expect(200);
     }
     // It has the token's scopes, and another site's page cannot use it.
     let retry = format!("/v1/jobs/{job}/retry");
@@ -181,21 +154,15 @@ fn a_browser_logs_in_and_out_with_a_cookie() {
     server.post(&retry, b"", &forged).expect(403);
     // A session is no token, and an invalid header is not rescued by the cookie.
     let as_token = session.replace("fled_session=", "Bearer ");
-    server
-        .get("/v1/jobs", &[("authorization", &as_token)])
-        .expect(401);
-    server
-        .get("/v1/jobs", &[browser[0], ("authorization", "Bearer x")])
-        .expect(401);
+    server.get("/v1/jobs", &[("authorization", &as_token)]).expect(401);
+    server.get("/v1/jobs", &[browser[0], ("authorization", "Bearer x")]).expect(401);
     let gone = server.post("/logout", b"", &browser).expect(204);
     assert!(gone.header("set-cookie").contains("Max-Age=0"));
     server.get("/v1/jobs", &browser).expect(401);
     let session = cookie(&server.post_json("/login", &right, &[]).expect(204));
     let browser = [("cookie", session.as_str())];
     server.get("/v1/jobs", &browser).expect(200);
-    with_store(&server, async |store| {
-        store.revoke_token(&id).await.expect("done")
-    });
+    with_store(&server, async |store| store.revoke_token(&id).await.expect("done"));
     server.get("/v1/jobs", &browser).expect(401);
 }
 
@@ -211,25 +178,15 @@ fn data_of_other_owners_is_not_found() {
     let (capture, job) = job_of(&server, &anna);
     let encoded = job.replacen('0', "%30", 1);
     let paths = |job: &str| {
-        [
-            "",
-            "/events",
-            "/rounds",
-            "/log",
-            "/artifacts",
-            "/artifacts/scene.ply",
-            "/render",
-        ]
-        .map(|path| format!("/v1/jobs/{job}{path}"))
+        ["", "/events", "/rounds", "/log", "/artifacts", "/artifacts/scene.ply", "/render"]
+            .map(|path| format!("/v1/jobs/{job}{path}"))
     };
     let mut all = vec![format!("/v1/captures/{capture}")];
     all.extend(paths(&job));
     all.extend(paths(&encoded));
     for path in &all {
         for (header, status) in [(&anna, 200), (&later, 200), (&admin, 200)] {
-            server
-                .get(path, &[("authorization", header)])
-                .expect(status);
+            server.get(path, &[("authorization", header)]).expect(status);
         }
         for header in [&bob, &unnamed] {
             let headers = [("authorization", header.as_str())];
@@ -276,9 +233,7 @@ fn lists_contain_only_the_owners_data() {
             assert_eq!(told, Some(jobs), "{list}");
         }
     }
-    server
-        .delete_as(&format!("/v1/jobs/{own}"), &bobs)
-        .expect(204);
+    server.delete_as(&format!("/v1/jobs/{own}"), &bobs).expect(204);
 }
 
 #[test]
@@ -290,12 +245,7 @@ fn idempotency_keys_are_separate_for_each_owner() {
         let (capture, _) = job_of(&server, &header);
         let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
         let headers = [("authorization", header.as_str()), ("idempotency-key", "1")];
-        let made = || {
-            server
-                .post_json("/v1/jobs", &order, &headers)
-                .expect(202)
-                .json()
-        };
+        let made = || server.post_json("/v1/jobs", &order, &headers).expect(202).json();
         let (first, again) = (made(), made());
         assert_eq!(first["id"], again["id"]);
         first["id"].clone()

@@ -33,19 +33,12 @@ fn options_describe_the_protocol_and_need_no_token() {
     for path in ["/v1/uploads", "/v1/uploads/any"] {
         // Clients that send no version get an answer too.
         let told = server.ask("OPTIONS", path, &[], b"").expect(204);
-        for (name, value) in [
-            ("tus-resumable", "1.0.0"),
-            ("tus-version", "1.0.0"),
-            ("tus-max-size", "1073741824"),
-        ] {
+        for (name, value) in
+            [("tus-resumable", "1.0.0"), ("tus-version", "1.0.0"), ("tus-max-size", "1073741824")]
+        {
             assert_eq!(told.header(name), value, "{name}");
         }
-        for extension in [
-            "creation",
-            "creation-with-upload",
-            "expiration",
-            "termination",
-        ] {
+        for extension in ["creation", "creation-with-upload", "expiration", "termination"] {
             let mut told = told.header("tus-extension").split(',');
             assert!(told.any(|known| known == extension), "{extension}");
         }
@@ -129,10 +122,7 @@ fn an_invalid_upload_is_refused_before_it_begins() {
         (422, vec![length]),
         (422, vec![length, ("upload-metadata", "filename")]),
         (400, vec![length, ("upload-metadata", "filename !")]),
-        (
-            422,
-            vec![length, ("upload-metadata", "filename YQBiLnBuZw==")],
-        ),
+        (422, vec![length, ("upload-metadata", "filename YQBiLnBuZw==")]),
         (422, vec![length, ("upload-metadata", &long)]),
         (413, vec![NAMED, ("upload-length", "1001")]),
     ] {
@@ -148,14 +138,12 @@ fn an_invalid_upload_is_refused_before_it_begins() {
     tus.ask("PATCH", &path, &[offset, kind], b"a").expect(415);
     tus.ask("PATCH", &path, &[PIECE], b"a").expect(400);
     let negative = ("upload-offset", "-0");
-    tus.ask("PATCH", &path, &[PIECE, negative], b"a")
-        .expect(400);
+    tus.ask("PATCH", &path, &[PIECE, negative], b"a").expect(400);
     tus.ask("GET", &path, &[], b"").expect(405);
     tus.ask("POST", &path, &[], b"").expect(405);
     for method in ["HEAD", "PATCH", "DELETE"] {
         let headers = [PIECE, offset];
-        tus.ask(method, "/v1/uploads/none", &headers, b"")
-            .expect(404);
+        tus.ask(method, "/v1/uploads/none", &headers, b"").expect(404);
     }
     assert_eq!(tus.offset(&path), 0);
 }
@@ -268,9 +256,7 @@ fn a_deleted_upload_is_gone_for_waiting_requests() {
         let hung = tus.hanging(&path, "Upload-Offset: 0\r\n", 12, b"abcd");
         wait_for_bytes(&server, &path, 4);
         std::thread::scope(|scope| {
-            let heads: Vec<_> = (0..3)
-                .map(|_| scope.spawn(|| tus.head(&path).status))
-                .collect();
+            let heads: Vec<_> = (0..3).map(|_| scope.spawn(|| tus.head(&path).status)).collect();
             tus.ask("DELETE", &path, &[], b"").expect(204);
             for head in heads {
                 let status = head.join().expect("an answer");
@@ -336,8 +322,7 @@ fn a_post_can_override_its_method() {
     let path = tus.create("a.png", 3);
     let by = |method| ("x-http-method-override", method);
     let offset = ("upload-offset", "0");
-    tus.ask("POST", &path, &[by("PATCH"), PIECE, offset], b"abc")
-        .expect(204);
+    tus.ask("POST", &path, &[by("PATCH"), PIECE, offset], b"abc").expect(204);
     let told = tus.ask("POST", &path, &[by("HEAD")], b"").expect(200);
     assert_eq!(told.header("upload-offset"), "3");
     tus.ask("POST", &path, &[by("PUT")], b"").expect(405);

@@ -24,9 +24,8 @@ fn uploads(tus: &Tus<'_>, n: usize) -> Vec<String> {
 
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("folder").flatten();
-    let mut names: Vec<String> = entries
-        .map(|entry| entry.file_name().to_string_lossy().into_owned())
-        .collect();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     names.sort();
     names
 }
@@ -55,28 +54,16 @@ fn resumable_uploads_of_photographs_become_a_capture() {
     assert_eq!(names(&data.join("uploads")).len(), 7, "nothing is used up");
     let made = server.post_json("/v1/captures", &order, &[]).expect(201);
     let capture = made.json();
-    assert_eq!(
-        (&capture["name"], &capture["accepted"]),
-        (&"in pieces".into(), &5.into())
-    );
+    assert_eq!((&capture["name"], &capture["accepted"]), (&"in pieces".into(), &5.into()));
     assert_eq!(
         made.header("location"),
         format!("/v1/captures/{}", capture["id"].as_str().expect("id"))
     );
-    let kept = data
-        .join("captures")
-        .join(capture["id"].as_str().expect("id"));
+    let kept = data.join("captures").join(capture["id"].as_str().expect("id"));
     assert_eq!(names(&kept), [".names.json", "gt", "images"]);
     assert_eq!(
         names(&kept.join("images")),
-        [
-            "000-2.png",
-            "000.png",
-            "001.png",
-            "002.png",
-            "003.png",
-            "notes.jpg"
-        ]
+        ["000-2.png", "000.png", "001.png", "002.png", "003.png", "notes.jpg"]
     );
     assert!(fs::read(kept.join("images/002.png")).expect("there") == photograph(2));
     assert!(names(&data.join("uploads")).is_empty() && names(&data.join("incoming")).is_empty());
@@ -97,10 +84,7 @@ fn a_resumable_upload_of_a_zip_becomes_a_capture() {
         .collect();
     let id = tus.upload("walk.zip", &zip(&content));
     let order = json!({ "uploads": [id] });
-    let made = server
-        .post_json("/v1/captures", &order, &[])
-        .expect(201)
-        .json();
+    let made = server.post_json("/v1/captures", &order, &[]).expect(201).json();
     assert_eq!(made["accepted"], 3);
     let kept = server.data.path().join("data/captures");
     let kept = kept.join(made["id"].as_str().expect("id"));
@@ -119,10 +103,7 @@ fn uploads_become_at_most_one_job_per_key() {
     let made = server.post_json("/v1/jobs", &order, &key).expect(202);
     assert_eq!(made.header("idempotent-replayed"), "");
     let job = made.json();
-    assert_eq!(
-        (&job["name"], &job["preset"]),
-        (&"walk".into(), &"preview".into())
-    );
+    assert_eq!((&job["name"], &job["preset"]), (&"walk".into(), &"preview".into()));
     // The answer was lost, and the uploads are used up.
     let again = server.post_json("/v1/jobs", &order, &key).expect(202);
     assert_eq!(again.header("idempotent-replayed"), "true");
@@ -143,12 +124,7 @@ fn concurrent_identical_requests_create_one_job() {
     let order = json!({ "uploads": uploads(&tus, 4), "options": { "adapter": "ok" } });
     let key = [("idempotency-key", "walk")];
     let jobs: Vec<Value> = std::thread::scope(|scope| {
-        let ask = || {
-            server
-                .post_json("/v1/jobs", &order, &key)
-                .expect(202)
-                .json()
-        };
+        let ask = || server.post_json("/v1/jobs", &order, &key).expect(202).json();
         let asked: Vec<_> = (0..4).map(|_| scope.spawn(ask)).collect();
         let answers = asked.into_iter().map(|answer| answer.join().expect("202"));
         answers.map(|job| job["id"].clone()).collect()
@@ -179,26 +155,13 @@ fn uploads_stay_until_they_are_used() {
     let unfinished = refused(json!([ids[0], half]), 409);
     assert_eq!(unfinished["code"], "unfinished");
     assert_eq!(unfinished["pointer"], "/uploads/1");
-    assert_eq!(
-        refused(json!([ids[0], "none"]), 404)["pointer"],
-        "/uploads/1"
-    );
-    assert_eq!(
-        refused(json!([ids[0], ids[0]]), 422)["pointer"],
-        "/uploads/1"
-    );
-    assert_eq!(
-        refused(json!([ids[0], "../fled.db"]), 404)["pointer"],
-        "/uploads/1"
-    );
+    assert_eq!(refused(json!([ids[0], "none"]), 404)["pointer"], "/uploads/1");
+    assert_eq!(refused(json!([ids[0], ids[0]]), 422)["pointer"], "/uploads/1");
+    assert_eq!(refused(json!([ids[0], "../fled.db"]), 404)["pointer"], "/uploads/1");
     refused(json!([]), 422);
     refused(json!("none"), 422);
     let few = refused(json!([ids[0], ids[1], text]), 422);
-    assert!(
-        few["capture"]["images"]
-            .as_array()
-            .is_some_and(|v| v.len() == 3)
-    );
+    assert!(few["capture"]["images"].as_array().is_some_and(|v| v.len() == 3));
     let long = json!({ "uploads": ids, "name": "x".repeat(201) });
     server.post_json("/v1/captures", &long, &[]).expect(422);
     let both = json!({ "uploads": ids, "capture_id": "c" });
@@ -222,10 +185,7 @@ fn uploads_stay_until_they_are_used() {
 #[test]
 fn a_job_without_room_uses_no_uploads() {
     let server = Server::start();
-    let quotas = Quotas {
-        jobs: Some(1),
-        ..Quotas::default()
-    };
+    let quotas = Quotas { jobs: Some(1), ..Quotas::default() };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let tus = Tus::of(&server, &anna);
     let orders = [0, 1]
@@ -275,19 +235,14 @@ fn an_upload_belongs_to_its_owner() {
     let refused = server.post_json("/v1/captures", &stolen, &headers);
     assert_eq!(refused.expect(404).json()["pointer"], "/uploads/3");
     Tus::of(&server, &anna).head(&path(&nobodys)).expect(404);
-    server
-        .post_json("/v1/captures", &order, &headers)
-        .expect(201);
+    server.post_json("/v1/captures", &order, &headers).expect(201);
 }
 
 #[test]
 fn uploads_count_once_towards_their_owners_quota() {
     let server = Server::start();
     let bytes: usize = photographs(3).iter().map(|part| part.2.len()).sum();
-    let quotas = Quotas {
-        bytes: Some(bytes as u64),
-        ..Quotas::default()
-    };
+    let quotas = Quotas { bytes: Some(bytes as u64), ..Quotas::default() };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let tus = Tus::of(&server, &anna);
     let headers = [("authorization", anna.as_str())];
@@ -304,9 +259,7 @@ fn uploads_count_once_towards_their_owners_quota() {
     tus.begin("b.png", 1).expect(507);
     // They fill the quota, and so does the capture made of them.
     let order = json!({ "uploads": ids });
-    server
-        .post_json("/v1/captures", &order, &headers)
-        .expect(201);
+    server.post_json("/v1/captures", &order, &headers).expect(201);
     tus.begin("b.png", 1).expect(507);
 }
 
@@ -362,18 +315,11 @@ fn a_backup_has_no_uploads() {
     let id = Tus::new(&server).upload("a.png", b"abc");
     let mut other = Server::start();
     other.kill();
-    let (from, to) = (
-        server.data.path().join("data"),
-        other.data.path().join("data"),
-    );
+    let (from, to) = (server.data.path().join("data"), other.data.path().join("data"));
     fs::remove_dir_all(&to).expect("removed");
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
-    runtime
-        .block_on(fled_server::backup(&from, &to))
-        .expect("copied");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
+    runtime.block_on(fled_server::backup(&from, &to)).expect("copied");
     other.restart();
     Tus::new(&other).head(&path(&id)).expect(404);
     assert_eq!(Tus::new(&server).offset(&path(&id)), 3);
@@ -414,17 +360,10 @@ fn an_unfinished_piece_does_not_change_a_capture() {
     .expect("head");
     stream.write_all(&photograph).expect("all of it");
     stream.write_all(b"\r\n").expect("end of a chunk");
-    let file = server
-        .data
-        .path()
-        .join("data")
-        .join(last.trim_start_matches("/v1/"));
+    let file = server.data.path().join("data").join(last.trim_start_matches("/v1/"));
     let start = Instant::now();
     while fs::metadata(&file).expect("there").len() < length as u64 {
-        assert!(
-            start.elapsed() < Duration::from_secs(20),
-            "it does not come"
-        );
+        assert!(start.elapsed() < Duration::from_secs(20), "it does not come");
         sleep(Duration::from_millis(10));
     }
     ids.push(last.trim_start_matches("/v1/uploads/").to_owned());
@@ -432,14 +371,8 @@ fn an_unfinished_piece_does_not_change_a_capture() {
     let capture = made.expect(201).json()["id"].clone();
     // One byte too many: the request, whose upload is already used, is cut off.
     let _ = stream.write_all(b"1\r\nx\r\n0\r\n\r\n");
-    assert_eq!(
-        status(&mut stream),
-        "409",
-        "another request has taken it over"
-    );
+    assert_eq!(status(&mut stream), "409", "another request has taken it over");
     let kept = server.data.path().join("data/captures");
-    let kept = kept
-        .join(capture.as_str().expect("id"))
-        .join("images/002.png");
+    let kept = kept.join(capture.as_str().expect("id")).join("images/002.png");
     assert!(fs::read(kept).expect("there") == photograph);
 }

@@ -27,10 +27,7 @@ fn video() -> Vec<u8> {
 fn a_video_becomes_a_capture_that_reports_its_frames() {
     let server = Server::start();
     let parts = [file("my walk.MP4", &video()), text("frames", "6")];
-    let capture = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(201)
-        .json();
+    let capture = server.upload("/v1/captures", &parts, &[]).expect(201).json();
     assert_eq!(capture["accepted"], 6);
     let names: Vec<&str> = capture["images"]
         .as_array()
@@ -39,22 +36,14 @@ fn a_video_becomes_a_capture_that_reports_its_frames() {
         .filter_map(|image| image["name"].as_str())
         .collect();
     assert!(
-        names
-            .iter()
-            .all(|name| name.starts_with("my walk-0000") && name.ends_with(".png")),
+        names.iter().all(|name| name.starts_with("my walk-0000") && name.ends_with(".png")),
         "{names:?}"
     );
     let warnings = capture["warnings"].to_string();
-    assert!(
-        warnings.contains("6 of the 60 frames of my walk.MP4"),
-        "{warnings}"
-    );
+    assert!(warnings.contains("6 of the 60 frames of my walk.MP4"), "{warnings}");
     let id = capture["id"].as_str().expect("an id");
     let kept = server.data.path().join("data/captures").join(id);
-    assert!(
-        kept.join("video/my walk.MP4").is_file(),
-        "the video is kept"
-    );
+    assert!(kept.join("video/my walk.MP4").is_file(), "the video is kept");
 }
 
 #[test]
@@ -76,24 +65,13 @@ fn two_videos_and_frames_beyond_the_quota_are_refused() {
     let server = Server::start();
     let two = [file("a.mp4", &video()), file("a.mov", &video())];
     let problem = server.upload("/v1/captures", &two, &[]).expect(422).json();
-    assert!(
-        problem["hint"]
-            .as_str()
-            .is_some_and(|hint| hint.contains("one")),
-        "{problem}"
-    );
-    let quotas = Quotas {
-        bytes: Some(1_000_000),
-        jobs: None,
-    };
+    assert!(problem["hint"].as_str().is_some_and(|hint| hint.contains("one")), "{problem}");
+    let quotas = Quotas { bytes: Some(1_000_000), jobs: None };
     let (token, _) = token_with(&server, "ann", "jobs:read,jobs:write", quotas);
     let anns = [("authorization", &*token)];
     let one = [file("walk.mp4", &video())];
     // 40 frames of 160 x 96 px may take 1.8 MB.
-    let problem = server
-        .upload("/v1/captures", &one, &anns)
-        .expect(507)
-        .json();
+    let problem = server.upload("/v1/captures", &one, &anns).expect(507).json();
     assert_eq!(problem["code"], "quota_bytes");
     let few = [file("walk.mp4", &video()), text("frames", "5")];
     server.upload("/v1/captures", &few, &anns).expect(201);
@@ -104,10 +82,7 @@ fn a_video_beside_photographs_is_listed_and_not_used() {
     let server = Server::start();
     let mut parts = photographs(3);
     parts.push(file("IMG_0001.MOV", &video()));
-    let capture = server
-        .upload("/v1/captures", &parts, &[])
-        .expect(201)
-        .json();
+    let capture = server.upload("/v1/captures", &parts, &[]).expect(201).json();
     assert_eq!(capture["accepted"], 3);
     let images = capture["images"].as_array().expect("images");
     let video = images.iter().find(|image| image["name"] == "IMG_0001.MOV");
@@ -119,26 +94,15 @@ fn a_video_beside_photographs_is_listed_and_not_used() {
 fn a_broken_video_or_missing_ffmpeg_is_reported_with_a_hint() {
     let server = Server::start();
     let broken = [file("walk.mp4", b"this is a text")];
-    let problem = server
-        .upload("/v1/captures", &broken, &[])
-        .expect(422)
-        .json();
+    let problem = server.upload("/v1/captures", &broken, &[]).expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
-    assert!(
-        detail.starts_with("walk.mp4: ") && !detail.contains("incoming"),
-        "{detail}"
-    );
+    assert!(detail.starts_with("walk.mp4: ") && !detail.contains("incoming"), "{detail}");
     let absurd = [file("walk.mp4", &video()), text("frames", "1")];
-    let problem = server
-        .upload("/v1/captures", &absurd, &[])
-        .expect(422)
-        .json();
+    let problem = server.upload("/v1/captures", &absurd, &[]).expect(422).json();
     assert_eq!(problem["pointer"], "/frames");
     let server = Server::start_with(&[("FLED_FAKE_FFMPEG", "no-such-ffmpeg")]);
-    let problem = server
-        .upload("/v1/captures", &[file("walk.mp4", &video())], &[])
-        .expect(415)
-        .json();
+    let problem =
+        server.upload("/v1/captures", &[file("walk.mp4", &video())], &[]).expect(415).json();
     let hint = problem["hint"].as_str().expect("a hint");
     assert!(hint.contains("apt-get install ffmpeg"), "{hint}");
 }

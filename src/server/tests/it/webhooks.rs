@@ -88,18 +88,13 @@ fn hook(server: &Server, url: &str, types: Option<&[&str]>) -> (String, String) 
     if let Some(types) = types {
         wanted["types"] = json!(types);
     }
-    let made = server
-        .post_json("/v1/webhooks", &wanted, &[])
-        .expect(201)
-        .json();
+    let made = server.post_json("/v1/webhooks", &wanted, &[]).expect(201).json();
     let text = |name: &str| made[name].as_str().expect(name).to_owned();
     (text("id"), text("secret"))
 }
 
 fn now() -> i64 {
-    let since = SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .expect("after 1970");
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).expect("after 1970");
     since.as_secs() as i64
 }
 
@@ -127,9 +122,7 @@ fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
     let (_, secret) = hook(&server, &url, None);
     let job = server.job("");
     let mut types = Vec::new();
-    while !["job.succeeded", "round.finished"]
-        .iter()
-        .all(|one| types.contains(&(*one).to_owned()))
+    while !["job.succeeded", "round.finished"].iter().all(|one| types.contains(&(*one).to_owned()))
     {
         let told = told.recv_timeout(PATIENCE).expect("told");
         assert!(
@@ -150,11 +143,7 @@ fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
         }
         let event = told.json();
         assert_eq!(event["data"]["job_id"], job.as_str());
-        assert!(
-            event["timestamp"]
-                .as_str()
-                .is_some_and(|time| time.ends_with('Z'))
-        );
+        assert!(event["timestamp"].as_str().is_some_and(|time| time.ends_with('Z')));
         if event["type"] == "round.finished" {
             assert!(event["data"]["metrics"].is_object(), "{event}");
         }
@@ -233,19 +222,10 @@ fn inner_networks_and_invalid_webhooks_are_refused() {
         (json!({ "url": url }), "/url"),
         (json!({ "url": "http://0x7f.1/" }), "/url"),
         (json!({ "url": "https://me:secret@example.org/" }), "/url"),
-        (
-            json!({ "url": "https://example.org/", "types": ["job.lost"] }),
-            "/types/0",
-        ),
-        (
-            json!({ "url": "https://example.org/", "types": [] }),
-            "/types",
-        ),
+        (json!({ "url": "https://example.org/", "types": ["job.lost"] }), "/types/0"),
+        (json!({ "url": "https://example.org/", "types": [] }), "/types"),
     ] {
-        let problem = server
-            .post_json("/v1/webhooks", &wanted, &[])
-            .expect(422)
-            .json();
+        let problem = server.post_json("/v1/webhooks", &wanted, &[]).expect(422).json();
         assert_eq!(problem["pointer"], at, "{wanted}");
     }
     for _ in 1..20 {
@@ -277,11 +257,7 @@ fn a_silent_endpoint_does_not_delay_other_webhooks() {
     let server = server();
     let silent = TcpListener::bind("127.0.0.1:0").expect("bound");
     let address = silent.local_addr().expect("an address");
-    let (slow, _) = hook(
-        &server,
-        &format!("http://{address}/"),
-        Some(&["job.queued"]),
-    );
+    let (slow, _) = hook(&server, &format!("http://{address}/"), Some(&["job.queued"]));
     let (url, told) = listener(&[200]);
     hook(&server, &url, Some(&["job.queued"]));
     let begun = Instant::now();
@@ -289,11 +265,7 @@ fn a_silent_endpoint_does_not_delay_other_webhooks() {
         server.job("");
         told.recv_timeout(PATIENCE).expect("told");
     }
-    assert!(
-        begun.elapsed() < Duration::from_secs(14),
-        "{:?}",
-        begun.elapsed()
-    );
+    assert!(begun.elapsed() < Duration::from_secs(14), "{:?}", begun.elapsed());
     assert_eq!(deliveries(&server, &slow).len(), 3);
 }
 
@@ -306,16 +278,11 @@ fn a_webhook_without_a_token_ends_with_the_first_token() {
     let shown = [("authorization", &*admin)];
     let made = |url: &str| {
         let wanted = json!({ "url": url, "types": ["job.queued"] });
-        server
-            .post_json("/v1/webhooks", &wanted, &shown)
-            .expect(201);
+        server.post_json("/v1/webhooks", &wanted, &shown).expect(201);
     };
     let (other, others) = listener(&[200]);
     made(&other);
-    let capture = server
-        .upload("/v1/captures", &photographs(4), &shown)
-        .expect(201)
-        .json();
+    let capture = server.upload("/v1/captures", &photographs(4), &shown).expect(201).json();
     let body = json!({ "capture_id": capture["id"], "preset": "preview" });
     server.post_json("/v1/jobs", &body, &shown).expect(202);
     others.recv_timeout(PATIENCE).expect("told");
@@ -340,20 +307,14 @@ fn a_webhook_is_notified_only_of_its_owners_jobs() {
     let wanted = json!({ "url": url, "types": ["job.queued"] });
     let anns = [("authorization", &*ann)];
     let bens = [("authorization", &*ben)];
-    let made = server
-        .post_json("/v1/webhooks", &wanted, &anns)
-        .expect(201)
-        .json();
+    let made = server.post_json("/v1/webhooks", &wanted, &anns).expect(201).json();
     let id = made["id"].as_str().expect("an id");
     let path = format!("/v1/webhooks/{id}/deliveries");
     server.get(&path, &bens).expect(404);
     let hooks = server.get("/v1/webhooks", &bens).expect(200).json();
     assert_eq!(hooks["webhooks"], json!([]));
     for who in [bens, anns] {
-        let capture = server
-            .upload("/v1/captures", &photographs(4), &who)
-            .expect(201)
-            .json();
+        let capture = server.upload("/v1/captures", &photographs(4), &who).expect(201).json();
         let body = json!({ "capture_id": capture["id"], "preset": "preview" });
         server.post_json("/v1/jobs", &body, &who).expect(202);
     }
@@ -387,9 +348,7 @@ impl Program {
                 let _ = sender.send(line);
             }
         });
-        until("it listens", || {
-            TcpStream::connect(("127.0.0.1", port)).ok()
-        });
+        until("it listens", || TcpStream::connect(("127.0.0.1", port)).ok());
         Self { child, lines }
     }
 }
@@ -414,22 +373,15 @@ fn the_documented_receivers_accept_only_genuine_deliveries() {
         let test = format!("/v1/webhooks/{id}/test");
         server.post_json(&test, &json!({}), &[]).expect(202);
         let line = receiver.lines.recv_timeout(PATIENCE).expect(file);
-        assert!(
-            line.starts_with("msg_") && line.contains("webhook.test"),
-            "{file}: {line}"
-        );
+        assert!(line.starts_with("msg_") && line.contains("webhook.test"), "{file}: {line}");
         until("it arrived", || {
             let delivery = deliveries(&server, &id).pop()?;
             delivery["delivered_at"].is_string().then_some(())
         });
         // With another secret it refuses, and nothing is printed.
         drop(receiver);
-        let receiver = Program::start(
-            program,
-            file,
-            port,
-            "whsec_AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA",
-        );
+        let receiver =
+            Program::start(program, file, port, "whsec_AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA");
         server.post_json(&test, &json!({}), &[]).expect(202);
         until("it is refused", || {
             let refused = |delivery: &Value| delivery["answer"] == "401";

@@ -23,10 +23,7 @@ fn ramp(width: u32, height: u32, bit_depth: u8) -> heifer::Image {
 }
 
 fn encoded(picture: &heifer::Image, metadata: &Metadata) -> Vec<u8> {
-    let options = EncodeOptions {
-        quality: 100,
-        max_threads: 1,
-    };
+    let options = EncodeOptions { quality: 100, max_threads: 1 };
     heifer::encode_with_metadata(picture, metadata, &options).expect("encoded")
 }
 
@@ -42,11 +39,7 @@ fn error(image: &Image<Srgb>) -> f32 {
     let mut worst = 0.0_f32;
     for y in 2..height - 2 {
         for x in 2..width - 2 {
-            let wanted = [
-                x as f32 / (width - 1) as f32,
-                y as f32 / (height - 1) as f32,
-                0.25,
-            ];
+            let wanted = [x as f32 / (width - 1) as f32, y as f32 / (height - 1) as f32, 0.25];
             for (channel, wanted) in wanted.into_iter().enumerate() {
                 worst = worst.max((image.plane(channel)[y * width + x] - wanted).abs());
             }
@@ -60,15 +53,9 @@ fn a_phones_photograph_is_read_as_it_was_written_tiles_and_all() {
     let folder = TempDir::new().expect("folder");
     // Larger than a tile of the encoder, so this one is a grid.
     for (width, height, depth) in [(96, 64, 8), (700, 300, 8), (96, 64, 10)] {
-        let path = file(
-            &folder,
-            &encoded(&ramp(width, height, depth), &Metadata::default()),
-        );
+        let path = file(&folder, &encoded(&ramp(width, height, depth), &Metadata::default()));
         let header = read_header(&path).expect("header");
-        assert_eq!(
-            (header.width, header.height),
-            (width as usize, height as usize)
-        );
+        assert_eq!((header.width, header.height), (width as usize, height as usize));
         let image = Image::load(&path).expect("loaded");
         let worst = error(&image);
         assert!(worst < 0.03, "{width} x {height}, {depth} bits: {worst}");
@@ -80,10 +67,8 @@ fn ten_bits_stay_ten_bits() {
     let folder = TempDir::new().expect("folder");
     let path = file(&folder, &encoded(&ramp(512, 64, 10), &Metadata::default()));
     let image = Image::load(&path).expect("loaded");
-    let row: Vec<u32> = image.plane(0)[32 * 512..33 * 512]
-        .iter()
-        .map(|v| (v * 65_535.0) as u32)
-        .collect();
+    let row: Vec<u32> =
+        image.plane(0)[32 * 512..33 * 512].iter().map(|v| (v * 65_535.0) as u32).collect();
     let mut levels = row.clone();
     levels.sort_unstable();
     levels.dedup();
@@ -97,10 +82,7 @@ fn its_focal_length_is_that_of_its_exif_and_its_orientation_there_turns_nothing(
         (Tag::Orientation, Value::Short(vec![6])),
         (Tag::FocalLengthIn35mmFilm, Value::Short(vec![26])),
     ]);
-    let metadata = Metadata {
-        exif: Some(exif),
-        ..Metadata::default()
-    };
+    let metadata = Metadata { exif: Some(exif), ..Metadata::default() };
     let path = file(&folder, &encoded(&ramp(96, 64, 8), &metadata));
     let header = read_header(&path).expect("header");
     assert_eq!((header.width, header.height), (96, 64));
@@ -128,10 +110,7 @@ fn the_containers_turn_is_applied_once() {
 
 /// Makes the first `pixi` property, which decoders do without, into `irot` of a quarter.
 fn turn(bytes: &mut [u8]) {
-    let at = bytes
-        .windows(4)
-        .position(|window| window == b"pixi")
-        .expect("a pixi box");
+    let at = bytes.windows(4).position(|window| window == b"pixi").expect("a pixi box");
     bytes[at..at + 4].copy_from_slice(b"irot");
     bytes[at + 4] = 1;
 }
@@ -143,10 +122,7 @@ fn one_cut_short_or_with_another_codec_is_refused_with_a_reason() {
     for share in [0.1, 0.5, 0.9, 0.99] {
         let cut = &whole[..(whole.len() as f64 * share) as usize];
         let outcome = Image::<Srgb>::load(&file(&folder, cut));
-        assert!(
-            matches!(outcome, Err(ImageError::Damaged { .. })),
-            "{share}: {outcome:?}"
-        );
+        assert!(matches!(outcome, Err(ImageError::Damaged { .. })), "{share}: {outcome:?}");
     }
     let mut other = whole.clone();
     let at = other.windows(4).position(|window| window == b"hvc1");

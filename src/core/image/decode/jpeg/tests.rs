@@ -77,10 +77,7 @@ fn a_scan_that_breaks_off_says_how_much_is_whole() {
 
 #[test]
 fn a_shift_of_all_that_follows_is_a_seam_and_edges_of_a_scene_are_none() {
-    let grid = super::Grid {
-        unit: (8, 8),
-        restart: 0,
-    };
+    let grid = super::Grid { unit: (8, 8), restart: 0 };
     let (width, height) = (96, 64);
     let picture = |value: &dyn Fn(usize, usize) -> usize| -> Vec<u8> {
         let pixels = (0..width * height).map(|i| value(i % width, i / width) as u8);
@@ -149,10 +146,7 @@ fn damage_inside_a_scan_is_found_or_spoils_little() {
                 }
             }
             let share = f64::from(found) / f64::from(found + missed);
-            assert!(
-                share >= least,
-                "scene {number}, {name}: {found} found, {missed} missed"
-            );
+            assert!(share >= least, "scene {number}, {name}: {found} found, {missed} missed");
         }
     }
 }
@@ -173,10 +167,7 @@ fn kinds_that_are_not_read_are_called_by_their_names() {
         (6, 0, "tells its height behind"),
     ] {
         let message = frame(at, value);
-        assert!(
-            message.contains(words) && message.contains("save it as"),
-            "{message}"
-        );
+        assert!(message.contains(words) && message.contains("save it as"), "{message}");
         assert!(!message.contains("decoder"), "{message}");
     }
 }

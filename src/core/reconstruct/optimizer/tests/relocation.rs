@@ -20,23 +20,14 @@ fn relocates(gpu: &Gpu, parts: usize) {
     let mut device = DeviceGaussians::upload(gpu, &gaussians, 24).expect("uploaded");
     assert_eq!(device.parts.len(), parts);
     let optimizer = Optimizer::new(gpu, &device, false).expect("created");
-    optimizer
-        .geometry_moments
-        .write(&vec![1.0; 24 * 24])
-        .expect("written");
-    optimizer
-        .sh_moments
-        .write(&vec![1.0; 24 * 56])
-        .expect("written");
+    optimizer.geometry_moments.write(&vec![1.0; 24 * 24]).expect("written");
+    optimizer.sh_moments.write(&vec![1.0; 24 * 56]).expect("written");
     let rows = pack_geometry(&gaussians);
     let plan = densify::plan(&rows, 22, &mut Pcg64::seed_from_u64(3));
     optimizer.relocate(gpu, &device, &plan).expect("relocated");
     device.count = plan.count;
     let after = device.download().expect("read");
-    let (geometry, sh) = (
-        optimizer.geometry_moments.read(24),
-        optimizer.sh_moments.read(24),
-    );
+    let (geometry, sh) = (optimizer.geometry_moments.read(24), optimizer.sh_moments.read(24));
     let (geometry, sh) = (geometry.expect("read"), sh.expect("read"));
     assert_eq!(after.len(), 22);
     let touched: Vec<_> = plan.moves.iter().map(|m| m[0] as usize).collect();
@@ -47,20 +38,11 @@ fn relocates(gpu: &Gpu, parts: usize) {
         assert_eq!(after.quats[to], gaussians.quats[from]);
         assert_eq!(after.log_scales[to], shape[..3]);
         assert_eq!(after.opacity_logits[to], shape[3]);
-        assert_eq!(
-            after.sh[27 * to..27 * to + 27],
-            gaussians.sh[27 * from..27 * from + 27]
-        );
+        assert_eq!(after.sh[27 * to..27 * to + 27], gaussians.sh[27 * from..27 * from + 27]);
     }
     for i in 0..20 {
         let expected = if touched.contains(&i) { 0.0 } else { 1.0 };
-        assert!(
-            geometry[24 * i..24 * i + 24].iter().all(|v| *v == expected),
-            "{i}"
-        );
-        assert!(
-            sh[56 * i..56 * i + 56].iter().all(|v| *v == expected),
-            "{i}"
-        );
+        assert!(geometry[24 * i..24 * i + 24].iter().all(|v| *v == expected), "{i}");
+        assert!(sh[56 * i..56 * i + 56].iter().all(|v| *v == expected), "{i}");
     }
 }

@@ -31,11 +31,7 @@ fn a_splat_over_all_tiles_covers_the_image() {
 fn a_camera_sees_the_splat_it_is_in_but_none_behind_it() {
     let mut gaussians = fixtures::gaussians(60, 0, 3);
     let camera = fixtures::viewpoint(90, 70).camera;
-    let at = |depth: f64| {
-        (camera.centre() + depth * camera.forward())
-            .to_array()
-            .map(|x| x as f32)
-    };
+    let at = |depth: f64| (camera.centre() + depth * camera.forward()).to_array().map(|x| x as f32);
     gaussians.means[..3].copy_from_slice(&[at(0.15), at(0.0), at(-0.5)]);
     gaussians.log_scales[..3].fill([0.0; 3]);
     gaussians.opacity_logits[..3].fill(0.0);
@@ -72,32 +68,18 @@ fn a_tile_counted_but_not_emitted_has_no_effect() {
     let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
     let projection = Projection::new(gpu, n).unwrap();
     let view = fixtures::viewpoint(width, height);
-    projection
-        .camera
-        .write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)])
-        .unwrap();
-    let sizes = SplatSizes {
-        gaussians: n,
-        width,
-        height,
-        intersections: 20_000,
-    };
+    projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
+    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_000 };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     // Mark the rows, so that unwritten ones are visible.
     buffers.slots.write(&vec![[7.0; SLOT_ROW]; 20_000]).unwrap();
-    let gradient = gpu
-        .upload("image gradient", &vec![1.0_f32; 3 * width * height])
-        .unwrap();
+    let gradient = gpu.upload("image gradient", &vec![1.0_f32; 3 * width * height]).unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
     recorder.submit().unwrap();
     let mut recorder = gpu.recorder();
-    Forward::new(chosen())
-        .record(&mut recorder, &projection, &buffers)
-        .unwrap();
-    Backward::new(chosen())
-        .record(&mut recorder, &projection, &buffers, &gradient)
-        .unwrap();
+    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
     let recording = recorder.finish();
     recording.submit().unwrap();
     let image = buffers.image.read().unwrap();
@@ -118,29 +100,17 @@ fn a_camera_larger_than_the_buffers_draws_nothing() {
     let gaussians = fixtures::gaussians(200, 0, 3);
     let device = DeviceGaussians::upload(gpu, &gaussians, 200).unwrap();
     let projection = Projection::new(gpu, 200).unwrap();
-    let sizes = SplatSizes {
-        gaussians: 200,
-        width: 64,
-        height: 48,
-        intersections: 20_000,
-    };
+    let sizes = SplatSizes { gaussians: 200, width: 64, height: 48, intersections: 20_000 };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
-    Forward::new(chosen())
-        .record(&mut recorder, &projection, &buffers)
-        .unwrap();
+    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
     let gradient = gpu.create::<f32>("image gradient", 3 * 64 * 48).unwrap();
-    Backward::new(chosen())
-        .record(&mut recorder, &projection, &buffers, &gradient)
-        .unwrap();
+    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
     let recording = recorder.finish();
     let draw = |width, height| {
         let camera = fixtures::viewpoint(width, height).camera;
-        projection
-            .camera
-            .write(&[CameraUniform::new(&camera, 200, 0, 0, 0.1)])
-            .unwrap();
+        projection.camera.write(&[CameraUniform::new(&camera, 200, 0, 0, 0.1)]).unwrap();
         recording.submit().unwrap();
         buffers.image.read().unwrap()
     };

@@ -16,44 +16,22 @@ const RUNS: f64 = 20.0;
 fn blending_times() {
     let gpu = fixtures::gpu();
     let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-    let (width, height, n) = if on_cpu {
-        (280, 160, 10_000)
-    } else {
-        (1120, 640, 200_000)
-    };
+    let (width, height, n) = if on_cpu { (280, 160, 10_000) } else { (1120, 640, 200_000) };
     let mut gaussians = fixtures::gaussians(n, 0, 3);
-    gaussians
-        .log_scales
-        .iter_mut()
-        .flatten()
-        .for_each(|s| *s -= 0.55);
+    gaussians.log_scales.iter_mut().flatten().for_each(|s| *s -= 0.55);
     let view = fixtures::viewpoint(width, height);
     let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
     let projection = Projection::new(gpu, n).unwrap();
-    projection
-        .camera
-        .write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)])
-        .unwrap();
-    let sizes = SplatSizes {
-        gaussians: n,
-        width,
-        height,
-        intersections: 20 * n,
-    };
+    projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
+    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20 * n };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
-    let gradient = gpu
-        .upload("image gradient", &vec![0.5_f32; 3 * width * height])
-        .unwrap();
+    let gradient = gpu.upload("image gradient", &vec![0.5_f32; 3 * width * height]).unwrap();
     for specialisation in specialisations() {
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
-        Forward::new(specialisation)
-            .record(&mut recorder, &projection, &buffers)
-            .unwrap();
+        Forward::new(specialisation).record(&mut recorder, &projection, &buffers).unwrap();
         let backward = Backward::new(specialisation);
-        backward
-            .record(&mut recorder, &projection, &buffers, &gradient)
-            .unwrap();
+        backward.record(&mut recorder, &projection, &buffers, &gradient).unwrap();
         let best = shortest(gpu, &recorder.finish());
         eprintln!(
             "{specialisation:?}: {:.1} ms, {:?}",

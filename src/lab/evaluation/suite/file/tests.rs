@@ -61,14 +61,8 @@ fn an_error_names_the_wrong_key() {
     type Change = fn(&mut Value);
     let faults: [(Change, &str); 13] = [
         (|c| c["seed"] = json!(1), "unknown field `seed`"),
-        (
-            |c| c["captures"][0]["gt"] = json!("a"),
-            "unknown field `gt`",
-        ),
-        (
-            |c| c["configurations"][0]["sets"] = json!({}),
-            "unknown field `sets`",
-        ),
+        (|c| c["captures"][0]["gt"] = json!("a"), "unknown field `gt`"),
+        (|c| c["configurations"][0]["sets"] = json!({}), "unknown field `sets`"),
         (|c| c["gain"]["from"] = json!("a"), "unknown field `from`"),
         (|c| c["preset"] = json!("fast"), "unknown variant `fast`"),
         (|c| c["seeds"] = json!(0), "`seeds` is 0"),
@@ -76,18 +70,12 @@ fn an_error_names_the_wrong_key() {
             |c| c["configurations"][1]["name"] = json!("plain"),
             "`configurations`: two are named `plain`",
         ),
-        (
-            |c| c["configurations"] = json!([]),
-            "`configurations` is empty",
-        ),
+        (|c| c["configurations"] = json!([]), "`configurations` is empty"),
         (
             |c| c["configurations"][3]["material"] = json!("shaken"),
             "`materials` of `fox`: there is no `shaken`, which `sharp` is given",
         ),
-        (
-            |c| c["configurations"][1]["set"] = json!({"seed": 3}),
-            "`set.seed` of `fled`",
-        ),
+        (|c| c["configurations"][1]["set"] = json!({"seed": 3}), "`set.seed` of `fled`"),
         (
             |c| c["gain"]["over"] = json!("nothing"),
             "`gain.over`: no configuration is named `nothing`",
@@ -96,10 +84,7 @@ fn an_error_names_the_wrong_key() {
             |c| c["configurations"][0]["seconds_of"] = json!("fled"),
             "`seconds_of` of `plain`: the first configuration",
         ),
-        (
-            |c| c["set"] = json!([]),
-            "invalid type: sequence, expected a map",
-        ),
+        (|c| c["set"] = json!([]), "invalid type: sequence, expected a map"),
     ];
     for (change, fault) in faults {
         let told = suite(change).expect_err(fault);
@@ -160,10 +145,7 @@ fn a_selection_keeps_the_first_and_its_dependencies() {
     assert_eq!(names(&["sharp"]), "plain, sharp");
     assert_eq!(names(&["as long"]), "plain, fled, as long");
 
-    let selection = Selection {
-        captures: vec!["hare".to_owned()],
-        ..Selection::default()
-    };
+    let selection = Selection { captures: vec!["hare".to_owned()], ..Selection::default() };
     let unknown = suite(|_| ()).expect("a suite").selected(&selection);
     let told = unknown.expect_err("no hare").to_string();
     assert_eq!(told, "no capture is named `hare`; there are fox");
@@ -180,10 +162,7 @@ fn captures_may_come_from_a_separate_list() {
     let both = list(json!({"dark": "d", "sharp": "s"}));
     std::fs::write(&path, both.to_string()).expect("written");
     let read = suite(|_| ()).expect("a suite").with_captures_of(&path);
-    assert_eq!(
-        read.expect("a list").captures[0].truth,
-        folder.path().join("t")
-    );
+    assert_eq!(read.expect("a list").captures[0].truth, folder.path().join("t"));
     std::fs::write(&path, list(json!({"dark": "d"})).to_string()).expect("written");
     let lacking = suite(|_| ()).expect("a suite").with_captures_of(&path);
     let told = lacking.expect_err("no sharp").to_string();
@@ -192,19 +171,11 @@ fn captures_may_come_from_a_separate_list() {
 
 #[test]
 fn an_assignment_has_the_type_of_its_option() {
-    let assign = |text: &str| {
-        suite(|_| ())
-            .expect("a suite")
-            .with_assignments(&[text.to_owned()])
-    };
+    let assign = |text: &str| suite(|_| ()).expect("a suite").with_assignments(&[text.to_owned()]);
     let set = |text| assign(text).expect(text).set;
     assert_eq!(set("size=420")["size"], json!(420));
     assert_eq!(set("held_out=5")["held_out"], json!("5"));
-    for (wrong, fault) in [
-        ("sise=1", "`sise`"),
-        ("steps", "key=value"),
-        ("seed=1", "`seeds`"),
-    ] {
+    for (wrong, fault) in [("sise=1", "`sise`"), ("steps", "key=value"), ("seed=1", "`seeds`")] {
         let told = assign(wrong).expect_err(wrong).to_string();
         assert!(told.contains(fault), "{told}");
     }

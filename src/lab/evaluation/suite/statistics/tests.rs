@@ -11,19 +11,10 @@ fn captures_count_equally_whatever_their_views_and_seeds() {
         run("fox", "fled", 1, &[("a", 21.0)]),
         run("hare", "fled", 0, &[("a", 13.0)]),
     ];
-    let found = difference(
-        &runs,
-        ("fled", "plain"),
-        Measure::PsnrCc,
-        Cameras::Registered,
-    );
+    let found = difference(&runs, ("fled", "plain"), Measure::PsnrCc, Cameras::Registered);
     let found = found.expect("pairs");
     assert_eq!(found.mean, 2.0);
-    let pairs: Vec<_> = found
-        .captures
-        .iter()
-        .map(|c| (c.mean, c.pairs, c.seeds))
-        .collect();
+    let pairs: Vec<_> = found.captures.iter().map(|c| (c.mean, c.pairs, c.seeds)).collect();
     assert_eq!(pairs, [(1.0, 3, 2), (3.0, 1, 1)]);
     assert_eq!(found.interval, Some([1.0, 3.0]));
     assert!(!found.can_be_claimed());
@@ -95,14 +86,9 @@ fn a_claim_needs_six_captures_and_two_seeds_on_each() {
                 }
             }
         }
-        difference(
-            &runs,
-            ("fled", "plain"),
-            Measure::PsnrCc,
-            Cameras::Registered,
-        )
-        .expect("pairs")
-        .can_be_claimed()
+        difference(&runs, ("fled", "plain"), Measure::PsnrCc, Cameras::Registered)
+            .expect("pairs")
+            .can_be_claimed()
     };
     assert!(claims(6, 2));
     assert!(!claims(5, 2));
@@ -113,11 +99,9 @@ fn a_claim_needs_six_captures_and_two_seeds_on_each() {
 #[test]
 fn a_share_counts_if_the_ceiling_is_a_decibel_away() {
     let mut runs = Vec::new();
-    for (capture, [plain, fled, sharp]) in [
-        ("fox", [20.0, 21.0, 24.0]),
-        ("hare", [20.0, 21.0, 22.0]),
-        ("owl", [20.0, 20.5, 20.9]),
-    ] {
+    for (capture, [plain, fled, sharp]) in
+        [("fox", [20.0, 21.0, 24.0]), ("hare", [20.0, 21.0, 22.0]), ("owl", [20.0, 20.5, 20.9])]
+    {
         for (name, psnr) in [("plain", plain), ("fled", fled), ("sharp", sharp)] {
             runs.push(run(capture, name, 0, &[("a", psnr)]));
         }

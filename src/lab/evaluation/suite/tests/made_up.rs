@@ -12,10 +12,8 @@ pub fn view(name: &str, psnr_cc_db: f64) -> TestView {
         ssim: psnr_cc_db / 100.0,
         lpips_squeeze: None,
     };
-    let both = |psnr_cc_db| ViewScores {
-        all: scores(psnr_cc_db),
-        seen: Some(scores(psnr_cc_db + 1.0)),
-    };
+    let both =
+        |psnr_cc_db| ViewScores { all: scores(psnr_cc_db), seen: Some(scores(psnr_cc_db + 1.0)) };
     TestView {
         name: name.to_owned(),
         nearest: "nearest".to_owned(),

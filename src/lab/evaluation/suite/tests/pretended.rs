@@ -78,13 +78,8 @@ impl Pretended {
     ) -> (Result<Summary, SuiteError>, Vec<String>) {
         let mut said = Vec::new();
         let mut start = |words: &[OsString]| {
-            let words: Vec<&str> = words
-                .iter()
-                .map(|word| word.to_str().expect("UTF-8"))
-                .collect();
-            let line = words
-                .join(" ")
-                .replace(&format!("{}/", self.top().display()), "");
+            let words: Vec<&str> = words.iter().map(|word| word.to_str().expect("UTF-8")).collect();
+            let line = words.join(" ").replace(&format!("{}/", self.top().display()), "");
             let failure = mischief.and_then(|mischief| mischief(&line));
             said.push(line);
             if let Some(line) = failure {
@@ -94,10 +89,7 @@ impl Pretended {
             Ok(Ok(()))
         };
         let mut tell = |_: &str| ();
-        let hands = mischief.is_some().then_some(Hands {
-            start: &mut start,
-            tell: &mut tell,
-        });
+        let hands = mischief.is_some().then_some(Hands { start: &mut start, tell: &mut tell });
         let path = self.top().join("suite.json");
         fs::write(&path, self.content.to_string()).expect("file");
         let outcome = (|| {
@@ -132,11 +124,7 @@ fn pretend(words: &[&str]) {
             let find = |word: &&str| word.strip_prefix(key)?.strip_prefix('=')?.parse().ok();
             words.iter().find_map(find).unwrap_or(2_u64)
         };
-        fs::write(
-            out.join("metrics.json"),
-            report(set("rounds"), set("steps")),
-        )
-        .expect("file");
+        fs::write(out.join("metrics.json"), report(set("rounds"), set("steps"))).expect("file");
         let psnr = 20.0 + set("steps") as f64 / 1000.0 + set("seed") as f64;
         fs::write(out.join("psnr"), psnr.to_string()).expect("file");
         return;

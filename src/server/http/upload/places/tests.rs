@@ -31,10 +31,7 @@ fn no_name_leaves_its_folder_or_reaches_a_command_line() {
             !safe.starts_with(['-', '.']) && safe.len() <= 161 && !safe.is_empty(),
             "{name:?} -> {safe:?}"
         );
-        assert!(
-            !safe.contains(['/', '\\', '\n', '\0']),
-            "{name:?} -> {safe:?}"
-        );
+        assert!(!safe.contains(['/', '\\', '\n', '\0']), "{name:?} -> {safe:?}");
     }
     assert_eq!(safe_name("IMG 0001.JPG"), "IMG 0001.JPG");
 }
@@ -72,16 +69,11 @@ fn only_paths_from_a_root_or_a_drive_lose_their_folders() {
 fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
     let mut places = Places::default();
     let start = std::time::Instant::now();
-    let paths: HashSet<PathBuf> = (0..20_000)
-        .map(|_| places.place("images", "photograph.jpg").expect("placed"))
-        .collect();
+    let paths: HashSet<PathBuf> =
+        (0..20_000).map(|_| places.place("images", "photograph.jpg").expect("placed")).collect();
     assert_eq!(paths.len(), 20_000);
     assert!(paths.contains(Path::new("images/photograph-20000.jpg")));
-    assert!(
-        start.elapsed() < std::time::Duration::from_secs(2),
-        "{:?}",
-        start.elapsed()
-    );
+    assert!(start.elapsed() < std::time::Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
 /// A photograph with structure, another for each number.
@@ -93,14 +85,7 @@ fn photograph(number: usize) -> Vec<u8> {
 
 /// The camera of the photograph of this number.
 fn camera(number: usize) -> Camera {
-    let k = Intrinsics {
-        width: 80,
-        height: 64,
-        fx: 70.0,
-        fy: 70.0,
-        cx: 40.0,
-        cy: 32.0,
-    };
+    let k = Intrinsics { width: 80, height: 64, fx: 70.0, fy: 70.0, cx: 40.0, cy: 32.0 };
     let eye = DVec3::new(number as f64, 0.25, -4.0);
     Camera::look_at(k, eye, DVec3::new(0.5, 0.0, 0.0), DVec3::Y)
 }
@@ -124,16 +109,10 @@ fn model(
     folder: &str,
     names: &[String],
 ) -> Vec<(&'static str, String, Vec<u8>)> {
-    let views = names
-        .iter()
-        .cloned()
-        .enumerate()
-        .map(|(at, name)| (name, camera(at)));
+    let views = names.iter().cloned().enumerate().map(|(at, name)| (name, camera(at)));
     let model = SparseModel::of_views(views, [([0.0, 0.0, 1.0], [9, 9, 9])]);
     let files = model.text_files().into_iter();
-    files
-        .map(|(name, text)| (part, format!("{folder}{name}"), text.into_bytes()))
-        .collect()
+    files.map(|(name, text)| (part, format!("{folder}{name}"), text.into_bytes())).collect()
 }
 
 fn given(capture: &Capture) -> Result<Poses, PosesError> {
@@ -144,11 +123,7 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
         focal_px: None,
     };
     let views: Vec<PoseView> = capture.views.iter().map(view).collect();
-    let request = PoseRequest {
-        views: &views,
-        work_dir: Path::new("unused"),
-        seed: 0,
-    };
+    let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0 };
     let file = capture.poses.as_ref().expect("poses");
     let given = GivenPoses::open(file.path(), &capture.photographs)?;
     given.poses(&request, &mut Silent, &CancelToken::new())
@@ -158,33 +133,22 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
 fn equal_names_without_folders_are_no_ones_poses() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "0.png", "b.png", "0.png"].map(str::to_owned);
-    let parts = names
-        .iter()
-        .enumerate()
-        .map(|(i, n)| ("images", n.clone(), photograph(i)));
+    let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
     let parts: Vec<_> = parts.chain(model("poses", "", &names[..3])).collect();
     store(dir.path(), &parts);
     let capture = Capture::open(dir.path(), dir.path()).expect("a capture");
     assert_eq!(capture.views.len(), 4);
     let error = given(&capture).expect_err("a tie").to_string();
-    assert!(
-        error.contains("`0.png` may be any of 2 photographs"),
-        "{error}"
-    );
+    assert!(error.contains("`0.png` may be any of 2 photographs"), "{error}");
 }
 
 #[test]
 fn models_that_are_sent_as_poses_stay_apart() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "b.png", "c.png", "d.png"].map(str::to_owned);
-    let parts = names
-        .iter()
-        .enumerate()
-        .map(|(i, n)| ("images", n.clone(), photograph(i)));
+    let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
     let parts = parts.chain(model("poses", "sparse/0/", &names));
-    let parts: Vec<_> = parts
-        .chain(model("poses", "sparse/1/", &names[..3]))
-        .collect();
+    let parts: Vec<_> = parts.chain(model("poses", "sparse/1/", &names[..3])).collect();
     store(dir.path(), &parts);
     let capture = Capture::open(dir.path(), dir.path()).expect("a capture");
     assert_eq!(given(&capture).expect("poses").views.len(), 4);
@@ -198,16 +162,10 @@ fn models_that_are_sent_as_poses_stay_apart() {
 fn an_upload_of_before_opens_as_it_lies() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "b.png", "c d.png"].map(str::to_owned);
-    let parts = names
-        .iter()
-        .enumerate()
-        .map(|(i, n)| ("images", n.clone(), photograph(i)));
+    let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
     let parts: Vec<_> = parts.chain(model("poses", "", &names)).collect();
     store(dir.path(), &parts);
-    assert!(
-        !dir.path().join(fled_core::capture::NAMES).exists(),
-        "the places say it all"
-    );
+    assert!(!dir.path().join(fled_core::capture::NAMES).exists(), "the places say it all");
     for name in &names {
         assert!(dir.path().join("images").join(name).exists(), "{name}");
     }

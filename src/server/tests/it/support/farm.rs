@@ -53,9 +53,7 @@ impl Machine {
     }
 
     pub fn signal(&self, signal: &str) {
-        let sent = Command::new("kill")
-            .args([signal, &self.child.id().to_string()])
-            .status();
+        let sent = Command::new("kill").args([signal, &self.child.id().to_string()]).status();
         assert!(sent.expect("kill runs").success());
     }
 }
@@ -83,10 +81,7 @@ impl Farm {
     /// With a bucket for its files.
     pub fn with_bucket() -> Self {
         let bucket = Some(S3::start());
-        Self {
-            bucket,
-            ..Self::new()
-        }
+        Self { bucket, ..Self::new() }
     }
 
     pub fn store(&self) -> PathBuf {

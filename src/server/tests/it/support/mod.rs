@@ -71,11 +71,7 @@ impl Server {
 
     fn of(data: tempfile::TempDir, (child, base): (Child, String)) -> Self {
         let client = Client::new(base, PATIENCE);
-        Self {
-            data,
-            child,
-            client,
-        }
+        Self { data, child, client }
     }
 
     /// The data directory as the server sees it.
@@ -148,9 +144,7 @@ impl Server {
 
     /// Uploads a capture of `n` different photographs, and returns its id.
     pub fn capture(&self, n: usize) -> String {
-        let reply = self
-            .upload("/v1/captures", &photographs(n), &[])
-            .expect(201);
+        let reply = self.upload("/v1/captures", &photographs(n), &[]).expect(201);
         reply.json()["id"].as_str().expect("id").to_owned()
     }
 
@@ -182,19 +176,14 @@ fn spawn_by(mut command: Command, data: &Path, limits: &[(&str, &str)]) -> (Chil
     loop {
         match std::fs::read_to_string(&file) {
             Ok(address) if address.contains(':') => return (child, format!("http://{address}")),
-            _ => assert!(
-                start.elapsed() < Duration::from_secs(20),
-                "the server does not start"
-            ),
+            _ => assert!(start.elapsed() < Duration::from_secs(20), "the server does not start"),
         }
         sleep(Duration::from_millis(10));
     }
 }
 
 pub fn photographs(n: usize) -> Vec<Part> {
-    (0..n)
-        .map(|i| file(&format!("{i:03}.png"), &photograph(i)))
-        .collect()
+    (0..n).map(|i| file(&format!("{i:03}.png"), &photograph(i))).collect()
 }
 
 /// A texture that differs for each seed.

@@ -50,10 +50,8 @@ fn kept(
 
 pub fn with_store<T>(server: &Server, work: impl AsyncFnOnce(&Store) -> T) -> T {
     let path = server.data.path().join("data/fled.db");
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
     runtime.block_on(async {
         let store = Store::open(&path).await.expect("open");
         let outcome = work(&store).await;

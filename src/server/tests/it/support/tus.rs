@@ -107,16 +107,10 @@ pub fn base64(bytes: &[u8]) -> String {
     let mut text = String::new();
     for group in bytes.chunks(3) {
         let padded = [group, &[0, 0][..3 - group.len()]].concat();
-        let number = padded
-            .iter()
-            .fold(0, |sum, byte| sum << 8 | usize::from(*byte));
+        let number = padded.iter().fold(0, |sum, byte| sum << 8 | usize::from(*byte));
         for digit in 0..4 {
             let place = number >> (18 - 6 * digit) & 63;
-            text.push(if digit > group.len() {
-                '='
-            } else {
-                char::from(DIGITS[place])
-            });
+            text.push(if digit > group.len() { '=' } else { char::from(DIGITS[place]) });
         }
     }
     text
