@@ -106,6 +106,17 @@ fn faults(moments: &[Moment], end: f64) -> Vec<String> {
     after.filter(wrong).map(told).collect()
 }
 
+/// A run's row of docs/results.md: seconds told / true after shares of the time since its poses.
+fn row(moments: &[Moment], end: f64) -> String {
+    let posed = moments.iter().find(|moment| moment.stage != Stage::Poses).expect("a stage").at;
+    let cell = |share: f64| {
+        let at = posed + share * (end - posed);
+        let moment = moments.iter().find(|moment| moment.at >= at).expect("a moment");
+        format!("{:.1} / {:.1}", moment.eta.unwrap_or(f64::NAN), end - moment.at)
+    };
+    format!("| {} |", [0.0, 0.5, 0.9].map(cell).join(" | "))
+}
+
 #[test]
 fn ten_recorded_runs_tell_a_time_left_that_is_true() {
     let mut history = History::default();
@@ -115,6 +126,7 @@ fn ten_recorded_runs_tell_a_time_left_that_is_true() {
         let mut plan = recording.plan(history.clone());
         let moments = replay(&recording.events, &mut plan);
         let (end, _) = recording.events.last().expect("an end");
+        eprintln!("{}", row(&moments, *end));
         let faults = faults(&moments, *end);
         wrong.extend(faults.into_iter().map(|fault| format!("run {number} at {fault}")));
         assert!(moments.windows(2).all(|pair| pair[0].progress <= pair[1].progress));

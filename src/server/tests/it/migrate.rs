@@ -29,7 +29,7 @@ impl Old {
     /// A server that was killed in the middle of a job.
     fn new() -> Self {
         let mut server = Server::start_with(&[("FLED_FAKE_WORKERS", "1")]);
-        let hook = json!({ "url": "http://198.51.100.7/", "types": ["job.succeeded"] });
+        let hook = json!({ "url": "http://receiver.invalid/", "types": ["job.succeeded"] });
         server.post_json("/v1/webhooks", &hook, &[]).expect(201);
         let order = json!({ "capture_id": server.capture(4), "preset": "preview",
                             "options": { "adapter": "ok" } });
