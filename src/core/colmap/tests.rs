@@ -205,7 +205,7 @@ fn few_registered_photographs_are_named_with_advice() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 4 4; exit 0"#);
     match scene.poses() {
         Err(PosesError::TooFew { registered: 4, total: 10, advice }) => {
-            assert!(advice.contains("overlap"))
+            assert!(advice.contains("overlap"));
         }
         other => panic!("{other:?}"),
     }

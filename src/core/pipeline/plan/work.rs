@@ -53,7 +53,7 @@ const CAMERA: Price = Price(0.0, 0.66, 0.0075);
 const BLURRED_STEP: f64 = 0.11;
 const BLURRED_CAMERA: f64 = 0.9;
 /// Share of that work in a correction that another follows.
-const COARSE_CAMERA: f64 = 0.3;
+const COARSE_CAMERA: f64 = 0.55;
 /// Times as long as a step takes with the noise field.
 const NOISE: f64 = 30.0;
 
