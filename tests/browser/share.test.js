@@ -55,6 +55,8 @@ test("a link opens its job alone, until it is ended", async () => {
       // Wherever they go, they are at this job.
       await visitor.goto(`${server.base}/#/`);
       await visitor.getByRole("heading", { name: "for others" }).waitFor();
+      // A browser fetches a strip of pictures once it comes near.
+      await visitor.getByRole("group", { name: "Pictures of the view" }).scrollIntoViewIfNeeded();
       await until("its pictures are there", () => loaded(visitor.locator("img[src]")));
     }, PHONE);
     await page.reload();
