@@ -53,11 +53,12 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
-use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, StatusCode, Version, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -77,7 +78,8 @@ pub use tus::read_headers as read_tus_headers;
 /// Maximum bytes of a body that is not an upload.
 const SMALL: usize = 1 << 20;
 
-/// Only the server's own content may run or be shown; no other page may frame it.
+/// Only the server's own content may run or be shown; no other page may frame it, but for
+/// [`dashboard::embedded`].
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' blob:; media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -98,6 +100,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/openapi.json", get(openapi::show_json))
         .route("/docs", get(openapi::docs))
         .route("/", get(dashboard::index))
+        .route("/embed", get(dashboard::embedded))
         .route("/assets/{*name}", get(dashboard::asset))
         .layer(DefaultBodyLimit::max(SMALL));
     let header = |name: HeaderName, value: &'static str| {
@@ -125,6 +128,7 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(header(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(header(header::REFERRER_POLICY, "no-referrer"))
         .layer(header(header::CACHE_CONTROL, "no-cache"))
+        .layer(CompressionLayer::new().compress_when(is_text))
         .layer(TraceLayer::new_for_http())
         .layer(middleware::from_fn_with_state(app.clone(), metrics::count))
         .layer(PropagateRequestIdLayer::x_request_id())
@@ -185,6 +189,14 @@ fn uploads() -> Router<Arc<App>> {
         .route("/v1/jobs", get(jobs::list).post(jobs::create))
         .merge(pieces)
         .layer(DefaultBodyLimit::disable())
+}
+
+/// Whether an answer is worth compressing: text that no client asks for in ranges.
+fn is_text(_: StatusCode, _: Version, headers: &HeaderMap, _: &Extensions) -> bool {
+    const TEXTS: [&str; 4] = ["json", "text/", "yaml", "svg"];
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
+    let is_text = TEXTS.iter().any(|text| kind.contains(text)) && kind != "text/event-stream";
+    is_text && !headers.contains_key(header::ACCEPT_RANGES)
 }
 
 fn from_elsewhere(_: ProtectionError) -> Response {

@@ -98,7 +98,7 @@ async function fromTree(page, base, folder) {
   const own = (url) => url.origin === base && /^\/(assets\/.*)?$/.test(url.pathname);
   await page.route(own, (route) => {
     const { pathname } = new URL(route.request().url());
-    const name = pathname.replace(/^\/(assets\/)?/, "") || "index.html";
+    const name = pathname.replace(/^\/(assets\/([0-9a-f]{16}\/)?)?/, "") || "index.html";
     return route.fulfill({ path: join(folder, name) });
   });
 }

@@ -28,6 +28,14 @@ const figures = (page) => page.evaluate(() => {
   return { files: own.length, bytes, paint };
 });
 
+/** A mobile network: 150 ms to the first byte of each answer, 1.6 Mbit/s. */
+async function slow(page) {
+  const session = await page.context().newCDPSession(page);
+  await session.send("Network.enable");
+  await session.send("Network.emulateNetworkConditions",
+    { offline: false, latency: 150, downloadThroughput: 200_000, uploadThroughput: 200_000 });
+}
+
 const PAGES = {
   "the list": async () => (await stand.finished(), "#/"),
   "a finished job": async () => `#/jobs/${await stand.finished()}`,
@@ -50,3 +58,31 @@ for (const [name, where] of Object.entries(PAGES)) {
     });
   });
 }
+
+test("over a mobile network no module waits for another, and a reload fetches none", async (t) => {
+  await stand.finished();
+  // A page whose requests a test may answer itself has no cache.
+  const context = await stand.browser.chromium.newContext();
+  try {
+    const page = await context.newPage();
+    await slow(page);
+    const shown = async (load) => {
+      const begun = Date.now();
+      await load();
+      await READY["the list"](page);
+      return Date.now() - begun;
+    };
+    const own = () => page.evaluate(() => performance.getEntriesByType("resource")
+      .filter(({ name }) => new URL(name).pathname.startsWith("/assets/"))
+      .map(({ name, startTime, transferSize }) => ({ name, startTime, transferSize })));
+    const first = await shown(() => page.goto(`${stand.server.base}/#/`));
+    const begun = (await own()).filter(({ name }) => name.endsWith(".js")).map(({ startTime }) => startTime);
+    assert.ok(begun.length > 10, "the page's modules were counted");
+    assert.ok(Math.max(...begun) - Math.min(...begun) < 150, "all are asked for at once");
+    const again = await shown(() => page.reload());
+    t.diagnostic(`the list is there after ${first} ms, after a reload ${again} ms`);
+    assert.deepEqual((await own()).filter(({ transferSize }) => transferSize > 0), [], "all are kept");
+  } finally {
+    await context.close();
+  }
+});

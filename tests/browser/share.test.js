@@ -1,9 +1,11 @@
 // A job is shown to somebody without a token: one browser makes the link, another opens it.
 
 import assert from "node:assert/strict";
+import { once } from "node:events";
+import { createServer } from "node:http";
 import { after, before, test } from "node:test";
 
-import { Browser, PHONE, loaded, overflowing } from "./browser.js";
+import { Browser, PHONE, drawn, loaded, overflowing, picture } from "./browser.js";
 import { Server } from "./server.js";
 import { until } from "./until.js";
 
@@ -32,14 +34,53 @@ test("without tokens there is nothing to share", async () => {
   });
 });
 
+test("another page shows the scene in a frame, and nothing else of the server", async () => {
+  const token = server.token();
+  const headers = { Authorization: `Bearer ${token}`, "Content-Type": "application/json" };
+  const made = await fetch(`${server.base}/v1/jobs/${id}/shares`, { method: "POST", headers, body: '{"name":"a blog"}' });
+  const share = await made.json();
+  const source = share.path.replace("/#/share/", "/embed#");
+  const html = (path) => `<!doctype html><title>blog</title><iframe src="${server.base}${path}" width="800" height="600"></iframe>`;
+  const blog = createServer((request, response) => {
+    response.setHeader("Content-Type", "text/html");
+    response.end(html(request.url === "/" ? source : "/"));
+  }).listen(0, "127.0.0.1");
+  await once(blog, "listening");
+  const context = await owner.chromium.newContext();
+  try {
+    const page = await context.newPage();
+    const faults = [];
+    page.on("pageerror", (error) => faults.push(error.message));
+    // Another site for the browser, as cookies see it.
+    const address = `http://localhost:${blog.address().port}`;
+    await page.goto(address);
+    const frame = page.frameLocator("iframe");
+    await until("its poster is there", () => loaded(frame.locator(".poster img")));
+    await frame.getByRole("button", { name: "Walk through the scene" }).click();
+    await frame.locator(".frame[aria-busy=false]").waitFor();
+    await until("the scene is drawn", async () => (await drawn(frame.locator(".frame canvas").first())) > 0.05);
+    await picture(page, "embedded");
+    await page.goto(`${address}/page`);
+    assert.equal(await page.frameLocator("iframe").getByRole("banner").count(), 0, "the page itself is not framed");
+    await fetch(`${server.base}/v1/jobs/${id}/shares/${share.id}`, { method: "DELETE", headers });
+    await page.goto(address);
+    await frame.getByText("This link does not work").waitFor();
+    assert.deepEqual(faults, []);
+  } finally {
+    await context.close();
+    blog.close();
+  }
+});
+
 test("a link opens its job alone, until it is ended", async () => {
   const token = server.token();
   await owner.visit("sharing", `#/jobs/${id}`, async (page) => {
     await page.getByLabel("Token").fill(token);
     await button(page, "Log in").click();
-    await page.getByLabel("Name").fill("Anna");
+    await page.getByLabel("Name", { exact: true }).fill("Anna");
     await button(page, "Create link").click();
     const link = await page.getByLabel("Link", { exact: true }).inputValue();
+    assert.match(await page.getByLabel("Embed", { exact: true }).inputValue(), /src="http[^"]+\/embed#[0-9a-f-]{36}\/fled_[0-9a-f]{64}"/);
     assert.match(link, /#\/share\/[0-9a-f-]{36}\/fled_[0-9a-f]{64}$/);
     await page.getByText("not used yet").waitFor();
     assert.deepEqual(await overflowing(page), []);

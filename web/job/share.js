@@ -36,8 +36,18 @@ export function shares(job) {
 
   /** The link itself, the one time that the server tells it. */
   function show(share) {
-    const address = h("input", { type: "text", readOnly: true, size: 60, value: location.origin + share.path, "aria-label": "Link" });
-    const copy = h("button", { type: "button", onclick: copied }, "Copy");
+    const link = location.origin + share.path;
+    const source = link.replace("/#/share/", "/embed#");
+    const frame = `<iframe src="${source}" title="3D scene" width="800" height="600" style="border:0" allow="fullscreen"></iframe>`;
+    const address = shown("Link", link);
+    made.replaceChildren(address, shown("Embed", frame),
+      h("p", { class: "hint" }, "Copy the link now. It is not shown again. The second shows the scene in a page of yours."));
+    address.querySelector("input").select();
+  }
+
+  function shown(name, value) {
+    const address = h("input", { type: "text", readOnly: true, size: 60, value, "aria-label": name });
+    const copy = h("button", { type: "button", "aria-label": `Copy ${name.toLowerCase()}`, onclick: copied }, "Copy");
     async function copied() {
       address.select();
       try {
@@ -48,8 +58,7 @@ export function shares(job) {
         copy.textContent = "Press Ctrl+C";
       }
     }
-    made.replaceChildren(h("p", { class: "row" }, address, copy), h("p", { class: "hint" }, "Copy the link now. It is not shown again."));
-    address.select();
+    return h("p", { class: "row" }, address, copy);
   }
 
   async function end(share, event) {

@@ -8,7 +8,7 @@ import { SceneError } from "./ply.js";
  * `progress(received, total)` in bytes, `total` may be `null`. Answers
  * `{ scene, sort, end }`: `sort(row)` promises the order for a third row of world to camera.
  */
-export function loading({ url, isPoints }, world, progress) {
+export function loading({ url, isPoints, headers }, world, progress) {
   const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   let ordered = null;
   const whole = new Promise((resolve, reject) => {
@@ -23,7 +23,7 @@ export function loading({ url, isPoints }, world, progress) {
       reject(new SceneError(`The scene could not be read: ${event.message ?? "no worker"}.`));
     };
   });
-  worker.postMessage({ url: new URL(url, location.href).href, isPoints, world });
+  worker.postMessage({ url: new URL(url, location.href).href, isPoints, headers, world });
   return {
     whole,
     sort: (row) => new Promise((resolve) => {

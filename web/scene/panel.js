@@ -3,8 +3,11 @@
 
 import { address, h, size } from "../lib/dom.js";
 
-/** The part of a page for the scene of `job`: `{ root, update, leave }`. */
-export function scenePanel(job) {
+/**
+ * The part of a page for the scene of `job`: `{ root, update, leave }`. `headers` go with each
+ * request, where no cookie does.
+ */
+export function scenePanel(job, headers = {}) {
   const image = h("img", { alt: "", draggable: false });
   const bytes = h("span", { class: "soft" });
   const words = h("span", { class: "words" });
@@ -26,7 +29,7 @@ export function scenePanel(job) {
     try {
       const { openScene } = await import("./view.js");
       if (isGone) return;
-      view = await openScene(place, { job, ...facts, ended: close });
+      view = await openScene(place, { job, headers, ...facts, ended: close });
       if (isGone) leave();
     } catch (error) {
       close(error.message);
@@ -48,6 +51,13 @@ export function scenePanel(job) {
     view?.leave();
   }
 
+  async function paint(url) {
+    image.dataset.of = url;
+    if (!headers.Authorization) { image.src = url; return; }
+    const answer = await fetch(url, { headers });
+    if (answer.ok) image.src = URL.createObjectURL(await answer.blob());
+  }
+
   image.addEventListener("error", () => { image.hidden = true; });
   return {
     root,
@@ -65,7 +75,7 @@ export function scenePanel(job) {
       const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;
       const url = `/v1/jobs/${job}/artifacts/${address(path)}`;
       const isThere = artifacts.some((file) => file.name === path);
-      if (isThere && image.getAttribute("src") !== url) image.src = url;
+      if (isThere && image.dataset.of !== url) paint(url);
       image.hidden = !isThere;
       const { width, height } = cameras.find(({ name }) => name === start);
       root.style.setProperty("--shape", width / height);

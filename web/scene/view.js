@@ -40,12 +40,12 @@ const LOST = "The graphics adapter dropped the picture, as can happen when it is
 
 /**
  * Opens the scene of a job in `place`. `name` is the job's, `scenes` are `{ round, url, isDelivered }`, `first` the one
- * to begin with and `start` the name of the camera. `ended(words)` is called when it closes by
+ * to begin with and `start` the name of the camera. `headers` go with each request. `ended(words)` is called when it closes by
  * itself, with the reason, or is closed. Throws a `SceneError` where the browser cannot.
  */
-export async function openScene(place, { job, name, scenes, first, start, ended }) {
-  const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`);
-  const view = new View(job, name, cameras, scenes, ended);
+export async function openScene(place, { job, headers, name, scenes, first, start, ended }) {
+  const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`, { headers });
+  const view = new View({ job, headers, name }, cameras, scenes, ended);
   place.replaceChildren(view.stage);
   view.begin(first, Math.max(0, cameras.findIndex(({ name }) => name === start)));
   return view;
@@ -74,9 +74,8 @@ class View {
   #isSorting = false;
   #isGone = false;
 
-  constructor(job, name, cameras, scenes, ended) {
-    this.job = job;
-    this.name = name;
+  constructor(of, cameras, scenes, ended) {
+    Object.assign(this, of);
     this.world = worldOf(cameras);
     cameras = cameras.map((camera) => cameraWithin(camera, this.world));
     this.cameras = cameras;
@@ -134,7 +133,7 @@ class View {
     this.#incoming?.end();
     this.#busy(true);
     this.veil.textContent = this.#source ? "" : "Loading the scene…";
-    const incoming = loading(scene, this.world, (received, total) => this.#progress(received, total));
+    const incoming = loading({ ...scene, headers: this.headers }, this.world, (received, total) => this.#progress(received, total));
     this.#incoming = incoming;
     try {
       const content = await incoming.whole;

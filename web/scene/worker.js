@@ -6,8 +6,8 @@ import { sorter } from "./sort.js";
 
 let sort = null;
 
-async function load(url, isPoints, world) {
-  const response = await fetch(url);
+async function load({ url, isPoints, headers, world }) {
+  const response = await fetch(url, { headers });
   if (!response.ok) {
     const problem = await response.json().catch(() => null);
     throw new SceneError(problem?.detail ?? `The server responded with status ${response.status}.`);
@@ -26,7 +26,7 @@ onmessage = ({ data }) => {
     postMessage({ order }, { transfer: [order.buffer] });
     return;
   }
-  load(data.url, data.isPoints, data.world).catch((error) => {
+  load(data).catch((error) => {
     const words = error instanceof SceneError ? error.message
       : `The scene could not be loaded completely: ${error.message}.`;
     postMessage({ problem: words });

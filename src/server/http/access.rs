@@ -22,8 +22,9 @@ use crate::token::{Scope, digest};
 
 /// Routes open to everyone: whether the server is alive, its description, and the page without its
 /// data.
-const OPEN: [&str; 9] = [
+const OPEN: [&str; 10] = [
     "/",
+    "/embed",
     "/assets/{*name}",
     "/login",
     "/logout",

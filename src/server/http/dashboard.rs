@@ -1,21 +1,19 @@
 //! The dashboard: plain embedded files, without external resources.
 //!
-//! A page consists of some fifty small modules. They are sent compressed, and a browser that has
-//! them revalidates by their tags: reopening a page transfers no file again, and a page of another
-//! build is never shown with old scripts.
+//! A page consists of some fifty small modules. Their addresses name this build, so that a browser
+//! keeps them for good and never shows a page of another build with old scripts. The page names all modules that it needs at once: a browser does not find them
+//! one behind the other.
 
 use std::borrow::Cow;
-use std::collections::HashMap;
-use std::io::Write;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::LazyLock;
 
 use axum::extract::Path;
-use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use flate2::Compression;
-use flate2::write::GzEncoder;
 use rust_embed::RustEmbed;
 
+use super::CONTENT_SECURITY_POLICY;
 use super::problem::Problem;
 use super::sent::is_known;
 
@@ -28,59 +26,117 @@ use super::sent::is_known;
 #[include = "*.webp"]
 struct Web;
 
-/// A file, plain and compressed.
+/// A file.
 struct Asset {
-    plain: Cow<'static, [u8]>,
-    gzipped: Vec<u8>,
-    /// Digest of its content, in hexadecimal.
-    digest: String,
+    content: Cow<'static, [u8]>,
+    etag: String,
 }
 
 /// All files, by name.
 static ASSETS: LazyLock<HashMap<String, Asset>> = LazyLock::new(|| {
     let asset = |name: Cow<'static, str>| {
-        let file = Web::get(&name)?;
-        let asset = Asset {
-            gzipped: gzipped(&file.data),
-            digest: blake3::hash(&file.data).to_hex()[..32].to_owned(),
-            plain: file.data,
-        };
+        let mut content = Web::get(&name)?.data;
+        if let Some(page_name) = name.strip_suffix(".html") {
+            let script = if page_name == "index" { "main.js" } else { &format!("{page_name}.js") };
+            content = page(&String::from_utf8_lossy(&content), script).into_bytes().into();
+        }
+        let digest = blake3::hash(&content).to_hex();
+        // Weak, because it is sent compressed, too.
+        let asset = Asset { etag: format!("W/\"{}\"", &digest[..32]), content };
         Some((name.into_owned(), asset))
     };
     Web::iter().filter_map(asset).collect()
 });
+
+/// The digest of all files: the part of their addresses that changes with each build.
+static BUILD: LazyLock<String> = LazyLock::new(|| {
+    let names: BTreeSet<_> = Web::iter().collect();
+    let mut hasher = blake3::Hasher::new();
+    for name in names {
+        let file = Web::get(&name).map(|file| file.data).unwrap_or_default();
+        hasher.update(name.as_bytes()).update(&[0]).update(blake3::hash(&file).as_bytes());
+    }
+    hasher.finalize().to_hex()[..16].to_owned()
+});
+
+/// A page with the addresses of this build, and links to all modules that its `script` imports.
+fn page(html: &str, script: &str) -> String {
+    let base = format!("/assets/{}/", *BUILD);
+    let links: String = imported(script)
+        .iter()
+        .map(|name| format!("<link rel=\"modulepreload\" href=\"{base}{name}\">\n"))
+        .collect();
+    html.replace("/assets/", &base).replace("</head>", &format!("{links}</head>"))
+}
+
+/// The module `name` and all that it imports statically, directly or indirectly.
+fn imported(name: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    let mut waiting = vec![name.to_owned()];
+    while let Some(name) = waiting.pop() {
+        let Some(file) = Web::get(&name).filter(|_| !found.contains(&name)) else { continue };
+        let text = String::from_utf8_lossy(&file.data);
+        for rest in text.split(" from \"").skip(1) {
+            if let Some((path, _)) = rest.split_once('"') {
+                waiting.push(beside(&name, path));
+            }
+        }
+        found.insert(name);
+    }
+    found
+}
+
+/// The name of the file at the relative `path`, seen from the file `name`.
+fn beside(name: &str, path: &str) -> String {
+    let mut parts: Vec<_> = name.split('/').collect();
+    parts.pop();
+    for part in path.split('/') {
+        match part {
+            "." => {}
+            ".." => drop(parts.pop()),
+            _ => parts.push(part),
+        }
+    }
+    parts.join("/")
+}
 
 /// The page, which decides by itself what to show.
 pub async fn index(headers: HeaderMap) -> Response {
     file("index.html", &headers)
 }
 
-/// Its styles and scripts.
+/// The scene of one job alone. Any page may frame it: it shows what its address allows, and has
+/// nothing to press that changes anything.
+pub async fn embedded(headers: HeaderMap) -> Response {
+    let policy = CONTENT_SECURITY_POLICY.replace("frame-ancestors 'none'", "frame-ancestors *");
+    ([(header::CONTENT_SECURITY_POLICY, policy)], file("embed.html", &headers)).into_response()
+}
+
+/// Their styles and scripts, by name or below the address of a build. A page of another build, still
+/// open or sent by another replica, gets what this one has, but only what is of this build never
+/// changes.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
-    file(&name, &headers)
+    let is_build = |part: &str| part.len() == 16 && part.bytes().all(|b| b.is_ascii_hexdigit());
+    match name.split_once('/') {
+        Some((build, name)) if is_build(build) => {
+            let cache = [(header::CACHE_CONTROL, "public, max-age=31536000, immutable")];
+            let response = file(name, &headers);
+            let is_kept = build == *BUILD && response.status() != StatusCode::NOT_FOUND;
+            if is_kept { (cache, response).into_response() } else { response }
+        }
+        _ => file(&name, &headers),
+    }
 }
 
 fn file(name: &str, headers: &HeaderMap) -> Response {
     let Some(asset) = ASSETS.get(name) else {
         return Problem::not_found("file").into_response();
     };
-    let is_gzipped = takes_gzip(headers);
-    // The two forms of a file need different tags.
-    let form = if is_gzipped { "gzip" } else { "plain" };
-    let etag = format!("\"{}-{form}\"", asset.digest);
-    let common: [(HeaderName, &str); 3] = [
-        (header::CONTENT_TYPE, media_type(name)),
-        (header::VARY, "Accept-Encoding"),
-        (header::ETAG, &etag),
-    ];
-    if is_known(headers, &etag) {
+    let common = [(header::CONTENT_TYPE, media_type(name)), (header::ETAG, &asset.etag)];
+    if is_known(headers, &asset.etag) {
         return (StatusCode::NOT_MODIFIED, common).into_response();
     }
-    if is_gzipped {
-        let encoding = [(header::CONTENT_ENCODING, "gzip")];
-        return (common, encoding, asset.gzipped.as_slice()).into_response();
-    }
-    (common, &*asset.plain).into_response()
+    (common, &*asset.content).into_response()
 }
 
 fn media_type(name: &str) -> &'static str {
@@ -93,74 +149,47 @@ fn media_type(name: &str) -> &'static str {
     }
 }
 
-/// Returns whether a client accepts gzip with a non-zero weight.
-fn takes_gzip(headers: &HeaderMap) -> bool {
-    let accepted = headers.get_all(header::ACCEPT_ENCODING).iter();
-    let words = accepted.filter_map(|value| value.to_str().ok());
-    words.flat_map(|words| words.split(',')).any(|word| {
-        let (coding, weight) = word.split_once(';').unwrap_or((word, ""));
-        let is_refused = weight
-            .trim()
-            .strip_prefix("q=")
-            .is_some_and(|weight| weight.trim().parse::<f32>().is_ok_and(|weight| weight == 0.0));
-        coding.trim().eq_ignore_ascii_case("gzip") && !is_refused
-    })
-}
-
-fn gzipped(bytes: &[u8]) -> Vec<u8> {
-    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
-    encoder.write_all(bytes).and_then(|()| encoder.finish()).expect("memory takes every byte")
-}
-
 #[cfg(test)]
 mod tests {
-    use std::io::Read;
-
-    use axum::http::HeaderValue;
-    use flate2::read::GzDecoder;
-
     use super::*;
 
-    fn accepting(words: &'static str) -> HeaderMap {
-        HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(words))])
+    #[test]
+    fn the_page_names_all_its_modules_by_this_build() {
+        let page = String::from_utf8_lossy(&ASSETS["index.html"].content);
+        let base = format!("/assets/{}/", *BUILD);
+        assert_eq!(page.matches("/assets/").count(), page.matches(&base).count());
+        let modules = imported("main.js");
+        assert!(modules.contains("lib/dom.js"), "imported by main.js and by others");
+        assert!(!modules.contains("scene/view.js"), "loaded once a scene is opened");
+        for name in modules {
+            let link = format!("<link rel=\"modulepreload\" href=\"{base}{name}\">");
+            assert_eq!(page.matches(&link).count(), 1, "{name}");
+            assert!(ASSETS.contains_key(&name), "{name}");
+        }
+    }
+
+    #[tokio::test]
+    async fn only_files_of_this_build_are_kept_for_good() {
+        let kept = async |name: String| {
+            let response = asset(Path(name), HeaderMap::new()).await;
+            (response.status(), response.headers().contains_key(header::CACHE_CONTROL))
+        };
+        assert_eq!(kept(format!("{}/lib/dom.js", *BUILD)).await, (StatusCode::OK, true));
+        assert_eq!(kept("lib/dom.js".to_owned()).await, (StatusCode::OK, false));
+        assert_eq!(kept("0123456789abcdef/lib/dom.js".to_owned()).await, (StatusCode::OK, false));
+        let missing = (StatusCode::NOT_FOUND, false);
+        assert_eq!(kept(format!("{}/nothing.js", *BUILD)).await, missing);
     }
 
     #[test]
-    fn gzip_keeps_every_file_and_halves_their_size() {
-        for asset in ASSETS.values() {
-            let mut read = Vec::new();
-            GzDecoder::new(asset.gzipped.as_slice()).read_to_end(&mut read).expect("gzip");
-            assert!(read == *asset.plain);
-        }
-        let texts = || ASSETS.iter().filter(|(name, _)| !name.ends_with(".webp"));
-        let sum = |size: fn(&Asset) -> usize| texts().map(|(_, asset)| size(asset)).sum::<usize>();
-        let (plain, gzipped) = (sum(|a| a.plain.len()), sum(|a| a.gzipped.len()));
-        assert!(gzipped * 5 < plain * 2, "{gzipped} of {plain} bytes");
-    }
-
-    #[test]
-    fn gzip_is_sent_only_to_clients_that_accept_it() {
-        for taken in ["gzip", "br, GZIP;q=0.5", "deflate,gzip; q=1"] {
-            assert!(takes_gzip(&accepting(taken)), "{taken}");
-        }
-        for refused in ["", "br", "gzip;q=0", "gzip; q=0.0", "xgzip"] {
-            assert!(!takes_gzip(&accepting(refused)), "{refused}");
-        }
-        assert!(!takes_gzip(&HeaderMap::new()));
-    }
-
-    #[test]
-    fn a_cached_file_is_revalidated_by_form() {
-        let gzip = file("main.js", &accepting("gzip"));
-        assert_eq!(gzip.headers()[header::CONTENT_ENCODING], "gzip");
-        let etag = gzip.headers()[header::ETAG].clone();
-        let mut again = accepting("gzip");
-        again.insert(header::IF_NONE_MATCH, etag.clone());
+    fn a_known_file_is_not_sent_again() {
+        let first = file("main.js", &HeaderMap::new());
+        let etag = first.headers()[header::ETAG].clone();
+        let again = HeaderMap::from_iter([(header::IF_NONE_MATCH, etag.clone())]);
         let known = file("main.js", &again);
         assert_eq!(known.status(), StatusCode::NOT_MODIFIED);
         assert_eq!(known.headers()[header::ETAG], etag);
-        again.remove(header::ACCEPT_ENCODING);
-        assert_eq!(file("main.js", &again).status(), StatusCode::OK);
+        assert_eq!(file("style.css", &again).status(), StatusCode::OK);
         assert_eq!(file("nothing.js", &again).status(), StatusCode::NOT_FOUND);
     }
 }

@@ -79,10 +79,10 @@ impl Sent {
     }
 }
 
-/// Returns whether the client already has this content.
+/// Returns whether the client already has this content, by a weak comparison.
 pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
+    let strong = |tag: &str| tag.trim().trim_start_matches("W/").to_owned();
     headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|tags| {
-        tags.split(',')
-            .any(|tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"))
+        tags.split(',').map(strong).any(|tag| tag == strong(etag) || tag == "*")
     })
 }
