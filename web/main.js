@@ -6,6 +6,7 @@ import { comparePage } from "./compare/compare.js";
 import { nothing } from "./lib/dom.js";
 import { jobPage } from "./job/job.js";
 import { listPage } from "./pages/list.js";
+import { readiness } from "./lib/machine.js";
 import { loginPage, seesAll, session } from "./lib/login.js";
 import { referencePage } from "./pages/reference.js";
 import { link, openLink } from "./pages/visitor.js";
@@ -142,10 +143,8 @@ async function alive() {
 
 async function health() {
   try {
-    const response = await fetch("/readyz");
+    const { checks } = await readiness();
     isThere = true;
-    /** @type {import("fled-api").Readiness} */
-    const { checks } = await response.json();
     const missing = checks.filter((check) => !check.ok);
     place.classList.toggle("bad", missing.length > 0);
     place.title = missing.map((check) => `${check.name}: ${check.detail} ${check.hint ?? ""}`).join("\n");

@@ -10,7 +10,7 @@ use fled_core::deblur::{self, DeblurError, NetworkChoice};
 use fled_core::features::weights::Package;
 use fled_core::inference::runtime;
 use fled_core::pipeline::error::ErrorKind;
-use fled_gpu::Gpu;
+use fled_gpu::{Gpu, GpuError};
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -66,10 +66,12 @@ impl Check {
 /// # Errors
 /// [`Failure`] of kind `environment` if anything is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
-    let checks = checks(args);
+    let gpu = Gpu::new(&args.adapter);
+    let has_gpu = gpu.as_ref().is_ok_and(|gpu| gpu.describe().device_type.is_gpu());
+    let checks = checks(args, gpu);
     let mut out = std::io::stdout().lock();
     let written = if args.json {
-        writeln!(out, "{}", serde_json::json!({ "checks": checks }))
+        writeln!(out, "{}", serde_json::json!({ "checks": checks, "has_gpu": has_gpu }))
     } else {
         checks.iter().try_for_each(|check| {
             let state = if check.ok { "ok" } else { "MISSING" };
@@ -88,7 +90,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn checks(args: &Args) -> Vec<Check> {
+fn checks(args: &Args, gpu: Result<Gpu, GpuError>) -> Vec<Check> {
     let search = tools::Args::library_folders();
     let runtime = runtime::find(args.tools.onnxruntime.as_deref(), &search)
         .map(|found| format!("{} at {}", found.version, found.path.display()));
@@ -98,7 +100,7 @@ fn checks(args: &Args) -> Vec<Check> {
         ..deblur::OpenOptions::default()
     };
     let model = models(&open);
-    let adapter = Gpu::new(&args.adapter).map(|gpu| gpu.describe().to_string());
+    let adapter = gpu.map(|gpu| gpu.describe().to_string());
     vec![
         Check::new(
             "adapter",

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::pipeline::error::ErrorKind;
-use fled_gpu::{DeviceType, Gpu};
+use fled_gpu::Gpu;
 use fled_server::ServeConfig;
 use fled_server::store::About;
 
@@ -63,9 +63,7 @@ pub fn about(adapter: &str, jobs: usize) -> About {
         host: host.trim().to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
         adapter: found.map(ToString::to_string),
-        has_gpu: found.is_some_and(|adapter| {
-            !matches!(adapter.device_type, DeviceType::Cpu | DeviceType::Other)
-        }),
+        has_gpu: found.is_some_and(|adapter| adapter.device_type.is_gpu()),
         cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
         memory: memory().unwrap_or(0),
         jobs: jobs as u32,

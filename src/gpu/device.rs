@@ -73,6 +73,13 @@ pub enum DeviceType {
     Cpu,
 }
 
+impl DeviceType {
+    /// Whether it is known to be a GPU.
+    pub fn is_gpu(self) -> bool {
+        !matches!(self, Self::Cpu | Self::Other)
+    }
+}
+
 impl Gpu {
     /// Opens an adapter: the best kind of hardware for `"auto"`, else the first adapter whose name
     /// contains the text, ignoring case.

@@ -37,6 +37,7 @@ mod render;
 mod retry;
 mod room;
 mod rounds;
+mod sample;
 mod sent;
 mod shapes;
 mod share;
@@ -86,6 +87,7 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; st
 /// Every route.
 pub fn router(app: Arc<App>) -> Router {
     let small = Router::new()
+        .route("/v1/captures/sample", post(sample::create))
         .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
         .merge(of_a_job())
         .merge(of_webhooks())

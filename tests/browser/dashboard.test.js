@@ -88,6 +88,26 @@ test("without a job the list says how to begin, and the machine is ready", () =>
     assert.equal(await page.getByRole("table").isVisible(), false);
   }));
 
+test("who has no photographs tries a sample, by the preset and the options of the form", () =>
+  browser.visit("sample", "", async (page) => {
+    const form = part(page, "New job");
+    const paper = form.getByLabel("Preset").locator("[value=paper]");
+    await until("it says what needs a GPU", async () => (await paper.textContent()).includes("which this machine lacks"));
+    assert.equal(await paper.isDisabled(), true);
+    await form.getByLabel("Preset").selectOption("preview");
+    await button(page, "Try a sample").click();
+    await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");
+    const job = await server.job(page.url().split("/").pop());
+    assert.deepEqual([job.preset, job.state === "failed"], ["preview", false]);
+    const { images } = await (await fetch(`${server.base}/v1/captures/${job.capture_id}`)).json();
+    assert.deepEqual([images.length, images.every(({ accepted }) => accepted)], [20, true]);
+    await button(page, "Cancel job").click();
+    await button(page.getByRole("dialog"), "Cancel job").click();
+    await seen(state(page), "cancelled");
+    await fetch(`${server.base}/v1/jobs/${job.id}`, { method: "DELETE" });
+    await fetch(`${server.base}/v1/captures/${job.capture_id}`, { method: "DELETE" });
+  }));
+
 test("nothing is sent before photographs are chosen", () =>
   browser.visit("upload-nothing", "", async (page) => {
     await button(page, "Start").click();
@@ -110,7 +130,7 @@ test("an upload that is refused says why, and another can be tried", () =>
 test("a folder that is chosen on the page becomes a job, which is cancelled", () =>
   browser.visit("uploaded", "", async (page) => {
     await page.getByLabel("Choose a folder").setInputFiles(capture);
-    await page.getByLabel("Name").fill(UPLOADED);
+    await page.getByLabel("Name", { exact: true }).fill(UPLOADED);
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), UPLOADED);

@@ -110,6 +110,46 @@ both("a job that failed says why in a row of its own, one that is over how long 
     width,
   ));
 
+both("jobs are sorted by score, by time and by name, and the address keeps how", async (width) =>
+  stand.visit(
+    "sorted",
+    "",
+    async (page) => {
+      const rows = [
+        ["by far", 29.5, "gt", 10],
+        ["agrees", 40.25, "enhanced", 30],
+        ["best", 30.5, "gt", 20],
+        ["failed"],
+      ];
+      const { jobs: [one] } = await (await fetch(`${server.base}/v1/jobs?limit=1&state=failed`)).json();
+      const jobs = rows.map(([name, psnr_cc_db, reference, took]) => ({
+        ...one,
+        id: name,
+        name,
+        error: undefined,
+        started_at: took && "2026-01-02T03:04:00Z",
+        finished_at: took && `2026-01-02T03:04:${took}Z`,
+        score: psnr_cc_db && { psnr_cc_db, reference, split: "held_out" },
+      }));
+      await page.route("**/v1/jobs?*", (route) => route.fulfill({ json: { jobs } }));
+      await shows(page, ["by far", "agrees", "best", "failed"]);
+      const sort = page.getByLabel("Sort by");
+      await sort.selectOption("score");
+      await shows(page, ["best", "by far", "agrees", "failed"]);
+      await seen(page.locator("tr", { hasText: "best" }).locator("td[data-label=Score]"), "30.5 dB");
+      await sort.selectOption("time");
+      await shows(page, ["agrees", "best", "by far", "failed"]);
+      await sort.selectOption("name");
+      await shows(page, ["agrees", "best", "by far", "failed"]);
+      assert.equal(new URL(page.url()).hash, "#/?sort=name");
+      await page.reload();
+      await until("it is kept", async () => (await sort.inputValue()) === "name");
+      assert.deepEqual(await overflowing(page), []);
+    },
+    width,
+  ),
+);
+
 /** Jobs that the server does not have, a page of the API at a time. */
 async function many(page, number) {
   const {

@@ -40,15 +40,18 @@ function place({ queue_position: position }) {
 }
 
 /**
- * The line beside a job's state; changes by the second while it runs.
+ * The line beside a job's state; changes by the second while it runs. `matched` is what structure
+ * from motion has counted so far.
  * @param {Job} job
+ * @param {{ done: number, total: number } | null} matched
  */
-export function progressLine(job) {
+export function progressLine(job, matched = null) {
   const runs = job.state === "running";
   return [
     doing(job),
     runs && job.steps_per_second ? `${job.steps_per_second.toFixed(1)} steps/s` : "",
     runs && job.eta_seconds ? `${duration(job.eta_seconds)} left` : "",
+    runs && job.stage === "poses" && matched ? `${matched.done} of ${matched.total} photographs and pairs matched` : "",
     runs ? elapsed(job) : "",
     job.attempts > 1 ? `attempt ${job.attempts}` : "",
   ].filter(Boolean).join(" · ");
@@ -71,8 +74,14 @@ function elapsed(job) {
  * that an earlier job found.
  * @param {Job} job
  */
-export const took = ({ started_at: from, finished_at: to }) =>
-  from && to ? duration((Date.parse(to) - Date.parse(from)) / 1000) : "";
+export const took = (job) => (seconds(job) > 0 ? duration(seconds(job)) : "");
+
+/**
+ * The same in seconds; 0 before the end.
+ * @param {Job} job
+ */
+export const seconds = ({ started_at: from, finished_at: to }) =>
+  from && to ? Math.max(1e-3, (Date.parse(to) - Date.parse(from)) / 1000) : 0;
 
 /**
  * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.

@@ -3,7 +3,7 @@
 import { api, count, duration, h, refill, when } from "../lib/dom.js";
 import { asked, keep } from "../lib/place.js";
 import { selection } from "./selection.js";
-import { doing, isOver, pill, setBar, took } from "../lib/state.js";
+import { doing, isOver, pill, seconds, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { startForm } from "../upload/upload.js";
@@ -20,6 +20,15 @@ const PAGE = 50;
 const STATES = ["queued", "running", "succeeded", "failed", "cancelled"];
 const PRESETS = ["preview", "standard", "paper"];
 
+/** Orders of the list beside the newest first. A score against ground truth says more. */
+const ORDERS = {
+  score: (a, b) =>
+    Number(b.score?.reference === "gt") - Number(a.score?.reference === "gt") ||
+    (b.score?.psnr_cc_db ?? -1) - (a.score?.psnr_cc_db ?? -1),
+  time: (a, b) => seconds(b) - seconds(a),
+  name: (a, b) => a.name.localeCompare(b.name),
+};
+
 const COLUMNS = [
   { title: "Select", class: "pick", head: h("span", { class: "heard" }, "Select") },
   { title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") },
@@ -28,6 +37,7 @@ const COLUMNS = [
   { title: "Progress" },
   { title: "Details" },
   { title: "Time", class: "word" },
+  { title: "Score", class: "word" },
   { title: "Preset", class: "word" },
   { title: "Created", class: "soft" },
 ];
@@ -74,9 +84,22 @@ function cells(job, known) {
     isOver(job) ? "" : bar,
     now(job, known),
     took(job),
+    score(job),
     job.preset,
     when(job.created_at),
   ];
+}
+
+/**
+ * How its result compares, in decibels; with what, in a tip.
+ * @param {import("fled-api").Job} job
+ */
+function score({ score: of }) {
+  if (!of?.psnr_cc_db) return "";
+  const other = of.reference === "gt" ? "ground truth" : "its photographs";
+  const views = of.split === "held_out" ? "views that were held out" : "views that were trained on";
+  const words = `Colour-fitted PSNR against ${other}, ${views}`;
+  return h("span", { title: words }, `${of.psnr_cc_db.toFixed(1)} dB`);
 }
 
 /** Why a job failed, below it and as wide as the list. */
@@ -133,13 +156,20 @@ function filters(changed) {
     );
   const state = choice(STATES, "All states", "state");
   const preset = choice(PRESETS, "All presets", "preset");
-  const values = () => ({ q: search.value.trim(), state: state.value, preset: preset.value });
+  const sort = choice(Object.keys(ORDERS), "newest", "sort");
+  const values = () => ({
+    q: search.value.trim(),
+    state: state.value,
+    preset: preset.value,
+    sort: sort.value,
+  });
   const say = (anew) => {
     keep(values());
     changed(anew);
   };
   search.addEventListener("input", () => say(false));
   preset.addEventListener("change", () => say(false));
+  sort.addEventListener("change", () => say(false));
   state.addEventListener("change", () => say(true));
   const field = (label, node) => h("label", {}, label, node);
   const root = h(
@@ -148,6 +178,7 @@ function filters(changed) {
     field("Search", search),
     field("State", state),
     field("Preset", preset),
+    field("Sort by", sort),
   );
   return {
     root,
@@ -201,7 +232,7 @@ export function listPage(main) {
     h(
       "figure",
       {},
-      h("img", { alt: "", src: "/assets/example.webp", width: 804, height: 225, loading: "lazy" }),
+      h("img", { alt: "", src: new URL("../example.webp", import.meta.url).href, width: 804, height: 225, loading: "lazy" }),
       h("figcaption", {}, "A dark, shaken photograph, and fled's scene from the same camera."),
     ),
   );
@@ -233,14 +264,16 @@ export function listPage(main) {
   });
 
   function draw() {
-    const { q, state, preset } = filter.values();
+    const { q, state, preset, sort } = filter.values();
     const isFiltered = Boolean(q || state || preset);
     const shown = had.jobs.filter(
       (job) =>
         (!preset || job.preset === preset) &&
         (job.name || "unnamed").toLowerCase().includes(q.toLowerCase()),
     );
+    if (sort in ORDERS) shown.sort(ORDERS[sort]);
     jobs.update(shown, had.jobs);
+    form.known(had.jobs);
     list.hidden = false;
     const isNone = had.jobs.length === 0 && !isFiltered;
     empty.hidden = !isNone;

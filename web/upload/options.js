@@ -1,6 +1,7 @@
 // The form of a job's options, made from `/v1/options`.
 
 import { api, h, plain, prose } from "../lib/dom.js";
+import { lacksGpu } from "../lib/machine.js";
 import { optionName } from "../lib/words.js";
 
 /** By what they are for; those that are in none are for experts, and folded away. */
@@ -39,6 +40,12 @@ export function optionsForm() {
   const root = h("details", { class: "all" }, h("summary", {}, "Options"), groups, more, kept);
   const problem = h("p", { class: "problem", role: "alert" });
   root.append(problem);
+  lacksGpu().then((isLacking) => {
+    const paper = preset.querySelector("[value=paper]");
+    if (!isLacking || !paper) return;
+    paper.disabled = true;
+    paper.textContent = "paper: needs a GPU, which this machine lacks";
+  });
   let [fields, presets, wanted, unasked] = [[], null, null, {}];
 
   async function build() {

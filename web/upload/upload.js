@@ -1,18 +1,21 @@
 // The form that uploads photographs and starts a job.
 
 import { begun } from "./begun.js";
-import { Refusal, api, count, h, size } from "../lib/dom.js";
+import { Refusal, api, count, duration, h, send, size } from "../lib/dom.js";
 import { takeDrops } from "./dropped.js";
 import { looked } from "./looked.js";
 import { optionsForm } from "./options.js";
 import { sending } from "./sending.js";
+import { seconds } from "../lib/state.js";
 
 /** Rejected files that a refused upload names. */
 const NAMED = 8;
+/** Finished jobs that tell how long the next one takes. */
+const RECENT = 5;
 /** Before, a rate says nothing, seconds. */
 const RATE_AFTER = 2;
 
-/** `{ root, leave }`. */
+/** `{ root, leave, known(jobs) }`: the form tells how long such jobs took lately. */
 export function startForm() {
   // The list below shows the chosen files; the browser's own words would say that there are none.
   const files = h("input", { type: "file", class: "heard", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
@@ -20,13 +23,15 @@ export function startForm() {
   const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");
   const status = h("span", { class: "hint", role: "status" });
+  const usual = h("p", { class: "hint" });
   const cancel = h("button", { type: "button", hidden: true, onclick: () => { isCancelled = true; run?.stop(); } }, "Cancel");
   const problem = h("p", { class: "problem", role: "alert" });
   const options = optionsForm();
   const chosen = chosenFiles();
   const drop = h("div", { class: "drop" },
     h("p", {}, "Drop photographs, a folder, a ZIP file or a video anywhere on this page, or"),
-    h("div", { class: "row" }, h("label", { class: "button" }, "Choose files", files), h("label", { class: "button" }, "Choose a folder", folder)),
+    h("div", { class: "row" }, h("label", { class: "button" }, "Choose files", files), h("label", { class: "button" }, "Choose a folder", folder),
+      h("button", { type: "button", onclick: sample }, "Try a sample")),
     h("p", { class: "hint" }, "fled uses the 40 sharpest frames of a video. A folder may contain ground truth in gt/."));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
@@ -72,6 +77,26 @@ export function startForm() {
     button.disabled = false;
   }
 
+  /** A job of photographs that the server makes up. */
+  async function sample() {
+    problem.textContent = "";
+    if (!options.check()) return;
+    button.disabled = true;
+    status.textContent = "Making up photographs of a dark room…";
+    try {
+      /** @type {import("fled-api").Capture} */
+      const capture = await api("/v1/captures/sample", { method: "POST" });
+      const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
+      /** @type {import("fled-api").Job} */
+      const job = await send("/v1/jobs", body);
+      if (!gone) location.hash = `#/jobs/${job.id}`;
+    } catch (error) {
+      if (!gone && !options.fault(error)) problem.textContent = error.message;
+    }
+    status.textContent = "";
+    button.disabled = false;
+  }
+
   /** The server keeps the pieces it has, and the upload goes on when the same files are chosen. */
   function leave() {
     gone = true;
@@ -79,8 +104,24 @@ export function startForm() {
     leaveDrops();
   }
   const form = h("form", { onsubmit: submit, noValidate: true }, drop, chosen.root,
-    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), h("div", { class: "row" }, button, cancel, status), problem, options.root);
-  return { root: h("section", {}, h("h2", {}, "New job"), form), leave };
+    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), h("div", { class: "row" }, button, cancel, status), usual, problem, options.root);
+
+  let finished = [];
+  function tellTimes() {
+    const times = finished.filter((job) => job.preset === options.preset.value).slice(0, RECENT).map(seconds).sort((a, b) => a - b);
+    const [least, most] = [times[0], times.at(-1)].map(duration);
+    usual.textContent = times.length === 0 ? "" : `Recent ${options.preset.value} jobs took ${least === most ? least : `${least} to ${most}`}.`;
+  }
+  options.preset.addEventListener("change", tellTimes);
+  return {
+    root: h("section", {}, h("h2", {}, "New job"), form),
+    leave,
+    /** Of the jobs of the server, the newest first. */
+    known(jobs) {
+      finished = jobs.filter((job) => job.state === "succeeded");
+      tellTimes();
+    },
+  };
 }
 
 /** The files to send, by path; each can be removed again. */

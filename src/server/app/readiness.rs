@@ -9,6 +9,7 @@ use utoipa::ToSchema;
 use super::App;
 use crate::process::{Group, Line};
 use crate::redaction::without_paths;
+use crate::store::Engine;
 
 /// One check of the server.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -24,11 +25,11 @@ pub struct Check {
     pub hint: String,
 }
 
-/// Cached results and their time.
+/// Cached results of the child process and their time.
 #[derive(Clone, Debug)]
 pub struct Remembered {
     at: Instant,
-    checks: Vec<Check>,
+    doctor: Doctor,
 }
 
 /// How long the result of the child process is cached.
@@ -40,21 +41,25 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug, Deserialize)]
 struct Doctor {
     checks: Vec<Check>,
+    #[serde(default)]
+    has_gpu: Option<bool>,
 }
 
-/// Runs all checks.
-pub async fn checks(app: &App) -> Vec<Check> {
+/// Runs all checks. Whether this machine has a GPU is known if jobs run here alone.
+pub async fn checks(app: &App) -> (Vec<Check>, Option<bool>) {
     let mut checks = vec![database(app).await, disk(app)];
     checks.extend(files(app).await);
     // Concurrent callers wait for one child process instead of starting several.
     let mut remembered = app.readiness.lock().await;
     if remembered.as_ref().is_none_or(|known| known.at.elapsed() > BELIEVED) {
-        *remembered = Some(Remembered { at: Instant::now(), checks: doctor(app).await });
+        *remembered = Some(Remembered { at: Instant::now(), doctor: doctor(app).await });
     }
-    if let Some(known) = remembered.as_ref() {
-        checks.extend(known.checks.iter().filter(|check| check.name != "disk").cloned());
+    let mut has_gpu = None;
+    if let Some(Remembered { doctor, .. }) = remembered.as_ref() {
+        checks.extend(doctor.checks.iter().filter(|check| check.name != "disk").cloned());
+        has_gpu = doctor.has_gpu.filter(|_| app.store.engine() == Engine::Sqlite);
     }
-    checks
+    (checks, has_gpu)
 }
 
 async fn database(app: &App) -> Check {
@@ -104,25 +109,26 @@ fn disk(app: &App) -> Check {
     Check { name: "disk".to_owned(), ok, detail, hint }
 }
 
-async fn doctor(app: &App) -> Vec<Check> {
+async fn doctor(app: &App) -> Doctor {
     match tokio::time::timeout(PATIENCE, ask_doctor(app)).await {
-        Ok(Ok(mut checks)) => {
-            for check in &mut checks {
+        Ok(Ok(mut doctor)) => {
+            for check in &mut doctor.checks {
                 check.detail = without_paths(&check.detail);
             }
-            checks
+            doctor
         }
-        Ok(Err(detail)) => vec![unknown(detail)],
-        Err(_) => vec![unknown(format!("no answer within {} s", PATIENCE.as_secs()))],
+        Ok(Err(detail)) => unknown(detail),
+        Err(_) => unknown(format!("no answer within {} s", PATIENCE.as_secs())),
     }
 }
 
-fn unknown(detail: String) -> Check {
+fn unknown(detail: String) -> Doctor {
     let hint = "Run `fled doctor` on the server.".to_owned();
-    Check { name: "environment".to_owned(), ok: false, detail, hint }
+    let check = Check { name: "environment".to_owned(), ok: false, detail, hint };
+    Doctor { checks: vec![check], has_gpu: None }
 }
 
-async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
+async fn ask_doctor(app: &App) -> Result<Doctor, String> {
     let mut group =
         Group::spawn(&app.config.doctor_command, &[], &[]).map_err(|error| error.to_string())?;
     drop(group.stdin.take());
@@ -130,14 +136,12 @@ async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
     while let Some(line) = group.next_line().await {
         match line {
             Line::Output(text) => match serde_json::from_str::<Doctor>(&text) {
-                Ok(doctor) => return Ok(doctor.checks),
+                Ok(doctor) => return Ok(doctor),
                 Err(_) => said.push_str(&text),
             },
             Line::Error(text) => tracing::info!(text, "doctor"),
         }
     }
     // The output has several lines.
-    serde_json::from_str::<Doctor>(&said)
-        .map(|doctor| doctor.checks)
-        .map_err(|_| "the output of `fled doctor` cannot be read".to_owned())
+    serde_json::from_str(&said).map_err(|_| "the output of `fled doctor` cannot be read".to_owned())
 }

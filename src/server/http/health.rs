@@ -18,6 +18,9 @@ pub struct Readiness {
     ready: bool,
     /// Checks of the database, disk, adapter, COLMAP, ONNX Runtime and models.
     checks: Vec<Check>,
+    /// Whether this machine has a GPU; absent if that is unknown, or if jobs also run elsewhere.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    has_gpu: Option<bool>,
 }
 
 /// Reports that the server is alive.
@@ -33,8 +36,8 @@ pub async fn live() -> &'static str {
         (status = 200, description = "Every check passed", body = Readiness),
         (status = 503, description = "At least one check failed", body = Readiness)))]
 pub async fn ready(State(app): State<Arc<App>>) -> Response {
-    let checks = checks(&app).await;
+    let (checks, has_gpu) = checks(&app).await;
     let ready = checks.iter().all(|check| check.ok);
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    (status, axum::Json(Readiness { ready, checks })).into_response()
+    (status, axum::Json(Readiness { ready, checks, has_gpu })).into_response()
 }

@@ -11,7 +11,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    prioritize, rename, render, retry, rounds, share, tus, videos, webhooks, workers,
+    prioritize, rename, render, retry, rounds, sample, share, tus, videos, webhooks, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -23,6 +23,7 @@ use super::{
     ),
     paths(
         captures::create,
+        sample::create,
         captures::list,
         captures::show,
         captures::delete,

@@ -75,6 +75,40 @@ struct Used {
     locks: Vec<UploadLock>,
 }
 
+impl Upload {
+    /// An upload that the server makes itself: `make` fills its folder and returns the number of
+    /// files.
+    ///
+    /// # Errors
+    /// Those of `make`; when the disk refuses.
+    pub(super) async fn made(
+        app: &App,
+        most: Option<u64>,
+        fields: BTreeMap<String, String>,
+        make: impl FnOnce(&Path) -> Result<usize, Problem> + Send + 'static,
+    ) -> Result<Self, Problem> {
+        let mut upload = Self::empty(app, most)?;
+        let dir = upload.dir.clone();
+        let made = tokio::task::spawn_blocking(move || make(dir.path())).await;
+        upload.files = made.map_err(|_| Problem::internal())??;
+        Ok(Self { fields, ..upload })
+    }
+
+    /// An upload of which nothing has come.
+    fn empty(app: &App, most: Option<u64>) -> Result<Self, Problem> {
+        let incoming = app.data.incoming();
+        let dir = app.uploads.begin(&incoming).map_err(ServerError::io(&incoming))?;
+        Ok(Self {
+            dir,
+            fields: BTreeMap::new(),
+            fingerprint: String::new(),
+            files: 0,
+            most,
+            used: Used::default(),
+        })
+    }
+}
+
 /// Receives every part of a multipart body; `known` are the text fields that mean something, `most`
 /// is what it may take on the disk, bytes, where its owner has a quota.
 ///
@@ -94,17 +128,7 @@ pub async fn receive(
         return Err(over_quota());
     }
     let (ahead, mut body) = open(request).await?;
-    let incoming = app.data.incoming();
-    let dir = app.uploads.begin(&incoming);
-    let dir = dir.map_err(ServerError::io(&incoming))?;
-    let mut upload = Upload {
-        dir,
-        fields: BTreeMap::new(),
-        fingerprint: String::new(),
-        files: 0,
-        most,
-        used: Used::default(),
-    };
+    let mut upload = Upload::empty(app, most)?;
     let mut receiver = Receiver {
         ahead: ahead.clone(),
         hasher: blake3::Hasher::new(),
