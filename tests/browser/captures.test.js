@@ -51,7 +51,7 @@ both("a finished job is run again with other options from its page", async (widt
     }
     await seen(form, "Kept from that job: Adapter “ok”.");
     await picture(page, `page-options-${width}`);
-    await form.getByLabel("Name").fill(`again ${width}`);
+    await form.getByLabel("Name", { exact: true }).fill(`again ${width}`);
     await button(form, "Run").click();
     await seen(page.getByRole("heading", { level: 1 }), `again ${width}`);
     const before = await server.job(id);
@@ -102,7 +102,7 @@ both("the form of a new job has the options of its preset, and sends those that 
     assert.equal(await size.inputValue(), "280");
     await page.getByLabel("Rounds", { exact: true }).fill("3");
     await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
-    await page.getByLabel("Name").fill(`with options ${width}`);
+    await page.getByLabel("Name", { exact: true }).fill(`with options ${width}`);
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), `with options ${width}`);
     const { options, preset } = await server.job(page.url().split("/").pop());

@@ -126,7 +126,8 @@ both("the search for poses tells the time that it took so far, and no share", as
   const { busy } = await queue();
   assert.ok((await server.job(busy[0])).stage_started_at);
   await stand.visit("poses", `#/jobs/${busy[0]}`, async (page) => {
-    await seen(page.locator(".now"), /poses · \d:\d\d so far; usually one to two minutes/);
+    await seen(page.locator(".now"), /poses · (\d+ of 10 photographs and pairs matched · )?\d:\d\d so far; usually one to two minutes/);
+    await seen(page.locator(".now"), /poses · \d+ of 10 photographs and pairs matched · /);
     const line = await page.locator(".now").textContent();
     await until("the time goes on", async () => (await page.locator(".now").textContent()) !== line);
     const bar = page.getByRole("progressbar", { name: "progress" });
@@ -299,7 +300,7 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
 both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {
   await stand.visit("beside", "", async (page) => {
     // The header stands before the page listens.
-    await page.getByLabel("Name").waitFor();
+    await page.getByLabel("Name", { exact: true }).waitFor();
     await drop(page, "header", [["a.jpg", "a"]]);
     await page.getByText("1 file chosen").waitFor();
   }, width);

@@ -54,7 +54,7 @@ const idOf = (page) => page.url().split("/").pop();
 async function dropped(page) {
   await drop(page, "main", photographs);
   await page.getByText("25 files chosen").waitFor();
-  await page.getByLabel("Name").fill(FIRST);
+  await page.getByLabel("Name", { exact: true }).fill(FIRST);
   await part(page, "New job").getByLabel("Preset").selectOption("preview");
   await page.getByText("Options", { exact: true }).click();
   for (const [name, value] of Object.entries(OPTIONS)) {
@@ -143,7 +143,7 @@ async function repeated(page, film) {
   await form.getByLabel("Training steps", { exact: true }).fill("200");
   await form.getByText("Expert options").click();
   await form.getByLabel("Shake", { exact: true }).selectOption("off");
-  await form.getByLabel("Name").fill(SECOND);
+  await form.getByLabel("Name", { exact: true }).fill(SECOND);
   await button(form, "Run").click();
   await seen(page.getByRole("heading", { level: 1 }), SECOND);
   second = idOf(page);

@@ -10,8 +10,11 @@ import { advice } from "../lib/words.js";
 
 const SECOND_MS = 1000;
 
+/** COLMAP's own strategies count a handful of steps, the matcher photographs and their pairs. */
+const LEAST_PAIRS = 10;
+
 /**
- * `{ root, update(job), sum(result), leave }`; `refresh` asks the server again after something was done. A
+ * `{ root, update(job), advance(told), sum(result), leave }`; `refresh` asks the server again after something was done. A
  * visitor by a link to the job can do nothing with it.
  */
 export function jobHead(base, refresh, who) {
@@ -98,8 +101,9 @@ export function jobHead(base, refresh, who) {
     if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "View workers"));
   }
 
+  let matched = null;
   function showLine() {
-    if (job) line.textContent = progressLine(job);
+    if (job) line.textContent = progressLine(job, matched);
   }
   const timer = setInterval(showLine, SECOND_MS);
 
@@ -131,6 +135,11 @@ export function jobHead(base, refresh, who) {
       error.textContent = job.error ? failure(job.error) : "";
       meaning.textContent = job.error ? advice(job.error) : "";
       root.hidden = false;
+    },
+    /** Takes what an event tells of the present stage. */
+    advance({ stage, done, total }) {
+      matched = stage === "poses" && total >= LEAST_PAIRS ? { done, total } : null;
+      showLine();
     },
     sum(node) { result.replaceChildren(node); },
     leave() { gone = true; clearInterval(timer); },

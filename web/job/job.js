@@ -150,6 +150,7 @@ export function jobPage(main, who, id) {
         if (!queued && !hasEnded) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }
+    stream.addEventListener("progress", (event) => head.advance(JSON.parse(event.data)));
     for (const kind of SEEN) {
       stream.addEventListener(kind, (event) => training.see(kind, JSON.parse(event.data)));
     }
