@@ -89,6 +89,7 @@ pub fn router(app: Arc<App>) -> Router {
     let small = Router::new()
         .route("/v1/captures/sample", post(sample::create))
         .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
+        .route("/v1/captures/{id}/thumbnails/{*name}", get(captures::thumbnail))
         .merge(of_a_job())
         .merge(of_webhooks())
         .route("/v1/options", get(options::show))

@@ -19,6 +19,7 @@ use crate::failpoint::Failpoint;
 use crate::files::blob_cache::Copy;
 use crate::files::remove;
 use crate::store::{Claim, Lease, by_path};
+use crate::validation::THUMBNAILS;
 
 /// Scans of a changing folder until one is consistent.
 const LOOKS: u32 = 5;
@@ -75,6 +76,25 @@ pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
         bring(blobs, &app.data.job(job), files, &mut copy).await?;
     }
     Ok(())
+}
+
+/// Fetches the thumbnails of a capture.
+///
+/// # Errors
+/// When the database, the blob store or the disk fails.
+pub async fn fetch_thumbnails(app: &App, capture: &str) -> Result<()> {
+    let Some(blobs) = app.blob_cache.blobs() else {
+        return Ok(());
+    };
+    let copy = app.blob_cache.folder(capture);
+    let mut copy = copy.lock().await;
+    let folder = app.data.capture(capture);
+    if copy.version.is_none() {
+        let mut files = app.store.capture_files(capture).await?;
+        files.retain(|file| Path::new(&file.path).starts_with(THUMBNAILS));
+        pull(blobs, &files, &folder, None, &mut copy.seen).await?;
+    }
+    used_now(&folder).map_err(ServerError::io(&folder))
 }
 
 async fn fetch_capture(app: &App, blobs: &Blobs, capture: &str) -> Result<()> {

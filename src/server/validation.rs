@@ -14,6 +14,9 @@ use crate::redaction::without_paths;
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
 
+/// The folder of thumbnails in that of an upload.
+pub const THUMBNAILS: &str = ".thumbnails";
+
 /// The assessments of an upload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureReport {
@@ -42,6 +45,12 @@ pub struct Assessment {
     /// Focal length from EXIF, px.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
+    /// Mean of the brightest channel, 0 to 1; of a photograph that is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brightness: Option<f32>,
+    /// Sharpness relative to the capture's median; of a photograph that is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sharpness: Option<f32>,
     /// Warnings: dark, blurred, a duplicate and so on.
     pub warnings: Vec<Warning>,
 }
@@ -146,6 +155,13 @@ pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
     capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
 }
 
+/// Where validation leaves a thumbnail of the photograph `name`, below the folder of its upload. The
+/// reader of captures does not see hidden folders.
+pub fn thumbnail(name: &str) -> PathBuf {
+    let digest = blake3::hash(name.as_bytes()).to_hex();
+    Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))
+}
+
 /// The pipeline's input of a stored capture: its zip, or its folder.
 pub fn source(dir: PathBuf) -> PathBuf {
     let archive = dir.join(ARCHIVE);
@@ -196,6 +212,8 @@ fn assessment(of: capture::Assessment) -> Assessment {
         width: of.width,
         height: of.height,
         focal_px: of.focal_px,
+        brightness: of.brightness,
+        sharpness: of.sharpness,
         warnings: of.warnings.into_iter().map(warning).collect(),
     }
 }

@@ -128,6 +128,8 @@ both("the search for poses tells the time that it took so far, and no share", as
   await stand.visit("poses", `#/jobs/${busy[0]}`, async (page) => {
     await seen(page.locator(".now"), /poses · (\d+ of 10 photographs and pairs matched · )?\d:\d\d so far; usually one to two minutes/);
     await seen(page.locator(".now"), /poses · \d+ of 10 photographs and pairs matched · /);
+    const small = part(page, "Photographs").locator(".photographs img");
+    await until("the photographs are there", async () => (await small.count()) === 8 && loaded(small));
     const line = await page.locator(".now").textContent();
     await until("the time goes on", async () => (await page.locator(".now").textContent()) !== line);
     const bar = page.getByRole("progressbar", { name: "progress" });

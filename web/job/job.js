@@ -8,7 +8,7 @@ import { jobHead } from "./head.js";
 import { logView } from "./log.js";
 import { hasTruth, metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
-import { leftOut } from "../lib/photographs.js";
+import { leftOut, strip } from "../lib/photographs.js";
 import { poses } from "./poses.js";
 import { scenePanel } from "../scene/panel.js";
 import { shares } from "./share.js";
@@ -100,7 +100,9 @@ export function jobPage(main, who, id) {
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
     if (!found || gone) return;
     given = found.images.length;
-    show(unused, leftOut(found));
+    // Before the first round nothing else is to be seen.
+    const isEarly = !isOver(job) && !job.stages.some((stage) => stage.round > 0);
+    show(unused, leftOut(found), isEarly && strip(found));
   }
 
   async function showResults(job) {

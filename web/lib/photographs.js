@@ -1,10 +1,10 @@
 // The verdicts on the photographs of a capture.
 
-import { count, h, prose } from "./dom.js";
+import { address, count, h, prose } from "./dom.js";
 import { told } from "./table.js";
 
-const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
-  { title: "Status" }, { title: "Warnings" }];
+const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
+  { title: "Brightness", class: "word" }, { title: "Sharpness", class: "word" }, { title: "Status" }, { title: "Warnings" }];
 
 /** @typedef {import("fled-api").Capture} Capture */
 
@@ -17,16 +17,41 @@ export const rejected = (capture) => capture.images.filter((image) => !image.acc
  */
 export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} used`;
 
+/** Mean value of a thumbnail as it is shown, and by how much it is made brighter for that at most. */
+const [SHOWN, MOST] = [0.4, 12];
+
+/** A small picture of it, brightened so that something is seen; empty where the server has none. */
+function thumbnail(capture, { name, brightness }) {
+  if (brightness === undefined) return "";
+  const image = h("img", { alt: "", loading: "lazy", src: `/v1/captures/${capture.id}/thumbnails/${address(name)}` });
+  image.style.filter = `brightness(${Math.min(MOST, Math.max(1, SHOWN / Math.max(brightness, 1e-3))).toFixed(2)})`;
+  image.addEventListener("error", () => image.remove());
+  return image;
+}
+
 /**
- * Every photograph; those that are not used come first, with the reason.
+ * The photographs that are used, in a row: while nothing else is to be seen of a job.
+ * @param {Capture} capture
+ */
+export function strip(capture) {
+  return h("div", { class: "photographs", tabIndex: 0, role: "group", "aria-label": "Photographs" },
+    capture.images.filter((image) => image.accepted).map((image) => thumbnail(capture, image)));
+}
+
+/**
+ * Every photograph; brightness is a share of white, sharpness of the median's; those that are not used come first, with the reason.
  * @param {Capture} capture
  */
 export function photographs(capture) {
   const images = [...capture.images].sort((a, b) => Number(a.accepted) - Number(b.accepted));
+  const share = (value) => (value === undefined ? "" : `${(100 * value).toFixed(0)} %`);
   return told(COLUMNS, images.map((image) => [
+    thumbnail(capture, image),
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",
     image.focal_px ? image.focal_px.toFixed(0) : "",
+    share(image.brightness),
+    share(image.sharpness),
     image.accepted ? "used" : h("span", { class: "bad" }, `not used: ${image.reason ?? "rejected"}`),
     image.warnings.map((warning) => warning.message).join("; "),
   ]));

@@ -58,9 +58,8 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         });
         match seen {
             Ok(seen) => {
-                let warnings = seen.warnings(typical);
                 let name = names.own(entry.path.stem());
-                assessed.accept(entry, &seen.header, name, warnings);
+                assessed.accept(entry, &seen, name, typical);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
@@ -85,14 +84,8 @@ fn median(mut values: Vec<f32>) -> f32 {
 }
 
 impl Assessed {
-    fn accept(
-        &mut self,
-        entry: &Entry,
-        header: &Header,
-        name: String,
-        warnings: Vec<CaptureWarning>,
-    ) {
-        let &Header { width, height, focal_px, .. } = header;
+    fn accept(&mut self, entry: &Entry, seen: &Seen, name: String, typical_sharpness: f32) {
+        let Header { width, height, focal_px, .. } = seen.header;
         self.assessments.push(Assessment {
             name: entry.path.to_string(),
             accepted: true,
@@ -101,7 +94,9 @@ impl Assessed {
             width,
             height,
             focal_px,
-            warnings,
+            brightness: Some(seen.mean_v),
+            sharpness: Some(seen.sharpness / typical_sharpness.max(1e-12)),
+            warnings: seen.warnings(typical_sharpness),
         });
         self.views.push(CaptureView {
             name,

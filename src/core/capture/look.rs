@@ -31,7 +31,8 @@ pub(super) struct Seen {
     pub(super) header: Header,
     /// blake3 of the small picture: equal pictures are equal whatever wraps them.
     pub(super) picture: [u8; 32],
-    mean_v: f32,
+    /// Mean V, sRGB, 0 to 1.
+    pub(super) mean_v: f32,
     /// Gradient energy relative to brightness: comparable within one capture only.
     pub(super) sharpness: f32,
 }
@@ -57,6 +58,8 @@ impl Fault {
             width: self.header.as_ref().map_or(0, |header| header.width),
             height: self.header.as_ref().map_or(0, |header| header.height),
             focal_px: self.header.and_then(|header| header.focal_px),
+            brightness: None,
+            sharpness: None,
             warnings: Vec::new(),
         }
     }
@@ -124,6 +127,7 @@ impl<'a> Eyes<'a> {
                 return Err(Fault { header: Some(header), ..Fault::from(error) });
             }
         };
+        (self.tell)(Look::Seen(entry.path.as_str(), &small));
         let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let v = small.pixels();
         let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;

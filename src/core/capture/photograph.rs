@@ -45,6 +45,13 @@ pub struct Assessment {
     /// Focal length in px, from EXIF.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
+    /// Mean of the brightest channel, as a share of white; of a photograph that is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub brightness: Option<f32>,
+    /// Sharpness relative to the capture's median; of a photograph that is used. Comparable within
+    /// one capture only.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sharpness: Option<f32>,
     /// What the user should know about it.
     pub warnings: Vec<CaptureWarning>,
 }

@@ -1,12 +1,15 @@
 //! Who watches while photographs are looked at.
 
 use super::budget::DecodeBudget;
+use crate::image::{Image, Srgb};
 
 /// What a photograph goes through.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub enum Look<'a> {
     /// Its header is read, or it is decoded.
     Begins(&'a str),
+    /// It was decoded: this is it, upright and small. Not told of ground truth.
+    Seen(&'a str, &'a Image<Srgb>),
     /// That is over, however it ended.
     Ended(&'a str),
 }

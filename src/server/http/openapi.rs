@@ -26,6 +26,7 @@ use super::{
         sample::create,
         captures::list,
         captures::show,
+        captures::thumbnail,
         captures::delete,
         tus::options,
         tus::create,

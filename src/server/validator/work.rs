@@ -2,15 +2,20 @@
 
 use std::cell::RefCell;
 use std::io::{self, BufRead, Write};
+use std::path::Path;
 
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{VideoError, Wanted, take_frames};
 use fled_core::capture::{DecodeBudget, Look, Watch};
+use fled_core::image::{Image, ImageError, Srgb};
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 use crate::process::parent_death::guarded;
 use crate::validation::{self, CaptureReport};
+
+/// Long side of a thumbnail, px.
+const THUMBNAIL_SIDE: usize = 240;
 
 /// Validates the upload and prints replies on standard output; `answers` come from the service.
 ///
@@ -36,6 +41,12 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             let reply = match look {
                 Look::Begins(name) => AssessReply::Begins(name.to_owned()),
                 Look::Ended(name) => AssessReply::Ended(name.to_owned()),
+                Look::Seen(name, small) => {
+                    if let Err(error) = keep_small(&request.dir, name, small) {
+                        eprintln!("{name} has no thumbnail: {error}");
+                    }
+                    return;
+                }
             };
             // If the pipe is closed, the service is gone and this process will end too.
             let _ = say(&reply);
@@ -58,6 +69,17 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
     };
     say_images(report)?;
     say(&last)
+}
+
+/// Writes a photograph's thumbnail.
+fn keep_small(dir: &Path, name: &str, small: &Image<Srgb>) -> Result<(), ImageError> {
+    let path = dir.join(validation::thumbnail(name));
+    let folder = path.parent().unwrap_or(dir);
+    let failed = |source| ImageError::Io { path: folder.to_owned(), source };
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let scale = THUMBNAIL_SIDE as f64 / small.width().max(small.height()) as f64;
+    let side = |length: usize| ((length as f64 * scale.min(1.0)).round() as usize).max(1);
+    small.resize_area(side(small.width()), side(small.height())).save(&path)
 }
 
 /// Limits the memory of this process and its children, and disables core dumps.

@@ -23,6 +23,7 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
     let folder = folder(&files);
     let asked = Cell::new(0);
     let told = Mutex::new(Vec::new());
+    let shown = Mutex::new(Vec::new());
     let watch = Watch {
         lend: &|bytes| {
             asked.set(bytes);
@@ -31,6 +32,10 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
         tell: &|look| {
             let (name, step) = match look {
                 Look::Begins(name) => (name.to_owned(), 1),
+                Look::Seen(name, small) => {
+                    shown.lock().expect("shown").push((name.to_owned(), small.width()));
+                    return;
+                }
                 Look::Ended(name) => (name.to_owned(), -1),
             };
             told.lock().expect("told").push((name, step));
@@ -41,6 +46,11 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
     assert_eq!(opened.expect("a capture").views.len(), 3);
     assert!(asked.get() >= 3 * (200 * 100 + 100 * 90), "{}", asked.get());
     assert!(asked.get() < 3 * (200 * 100 + 100 * 90 + 96 * 64));
+    let mut shown = shown.into_inner().expect("shown");
+    shown.sort();
+    let names: Vec<&str> = shown.iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["a.png", "b.png", "c.jpg"], "what is decoded, and no ground truth");
+    assert!(shown.iter().all(|(_, width)| *width <= 320));
     let told = told.into_inner().expect("told");
     for name in ["a.png", "b.png", "c.jpg", "d.jpg", "gt/c.png"] {
         let of_it = told.iter().filter(|(found, _)| found == name);

@@ -103,6 +103,8 @@ fn unused(video: &Path) -> Assessment {
         width: 0,
         height: 0,
         focal_px: None,
+        brightness: None,
+        sharpness: None,
         warnings: Vec::new(),
     }
 }
