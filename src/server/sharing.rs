@@ -17,9 +17,9 @@ use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
 use crate::files::blob_cache::Copy;
+use crate::files::data::THUMBNAILS;
 use crate::files::remove;
 use crate::store::{Claim, Lease, by_path};
-use crate::validation::THUMBNAILS;
 
 /// Scans of a changing folder until one is consistent.
 const LOOKS: u32 = 5;

@@ -14,9 +14,6 @@ use crate::redaction::without_paths;
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
 
-/// The folder of thumbnails in that of an upload.
-pub const THUMBNAILS: &str = ".thumbnails";
-
 /// The assessments of an upload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureReport {
@@ -153,13 +150,6 @@ pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
         return Ok(0);
     }
     capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
-}
-
-/// Where validation leaves a thumbnail of the photograph `name`, below the folder of its upload. The
-/// reader of captures does not see hidden folders.
-pub fn thumbnail(name: &str) -> PathBuf {
-    let digest = blake3::hash(name.as_bytes()).to_hex();
-    Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))
 }
 
 /// The pipeline's input of a stored capture: its zip, or its folder.

@@ -40,7 +40,7 @@ fn play(arguments: &[OsString]) -> Result<(), Box<dyn std::error::Error>> {
         Some("video") => video::make(&arguments[1..]),
         Some("doctor") => {
             say(
-                r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}]}"#,
+                r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}],"has_gpu":false}"#,
             );
             Ok(())
         }

@@ -16,6 +16,16 @@ use rustix::fs::{FlockOperation, flock, statvfs};
 
 use crate::error::{Result, ServerError};
 
+/// The folder of thumbnails in that of a capture. It is hidden: the reader of captures does not see
+/// it.
+pub const THUMBNAILS: &str = ".thumbnails";
+
+/// The file of the thumbnail of the photograph `name`, below the folder of its capture.
+pub fn thumbnail(name: &str) -> PathBuf {
+    let digest = blake3::hash(name.as_bytes()).to_hex();
+    Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))
+}
+
 /// The locked data directory of a server.
 #[derive(Debug)]
 pub struct DataDir {
@@ -213,6 +223,9 @@ pub fn bytes_below(dir: &Path) -> io::Result<u64> {
     let mut sum = 0;
     for entry in entries {
         let entry = entry?;
+        if entry.file_name() == THUMBNAILS {
+            continue;
+        }
         // A running job replaces its files meanwhile.
         match entry.metadata() {
             Ok(about) if about.is_dir() => sum += bytes_below(&entry.path())?,

@@ -19,9 +19,9 @@ use super::shapes::{Capture, Captures};
 use super::upload::{self, Upload};
 use super::uploaded::CaptureOfUploads;
 use crate::app::App;
+use crate::files::data;
 use crate::files::remove;
 use crate::sharing::fetch_thumbnails;
-use crate::validation;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -173,7 +173,7 @@ pub async fn thumbnail(
 ) -> Result<Response, Problem> {
     let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
     fetch_thumbnails(&app, &row.id).await?;
-    let file = validation::thumbnail(&name);
+    let file = data::thumbnail(&name);
     let etag = format!("\"{}\"", file.display());
     let path = app.data.capture(&row.id).join(file);
     let about = tokio::fs::metadata(&path).await;

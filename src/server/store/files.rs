@@ -71,6 +71,7 @@ impl Store {
             "SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM (
                 SELECT capture_files.bytes AS bytes FROM capture_files
                 JOIN captures ON captures.id = capture_files.capture_id WHERE captures.owner = $1
+                AND capture_files.path NOT LIKE '.thumbnails/%'
                 UNION ALL
                 SELECT job_files.bytes AS bytes FROM job_files
                 JOIN jobs ON jobs.id = job_files.job_id

@@ -11,6 +11,7 @@ use fled_core::image::{Image, ImageError, Srgb};
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
+use crate::files::data::thumbnail;
 use crate::process::parent_death::guarded;
 use crate::validation::{self, CaptureReport};
 
@@ -73,7 +74,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
 
 /// Writes a photograph's thumbnail.
 fn keep_small(dir: &Path, name: &str, small: &Image<Srgb>) -> Result<(), ImageError> {
-    let path = dir.join(validation::thumbnail(name));
+    let path = dir.join(thumbnail(name));
     let folder = path.parent().unwrap_or(dir);
     let failed = |source| ImageError::Io { path: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;

@@ -79,6 +79,25 @@ fn lists_are_paged_without_gaps_and_filtered_by_state() {
 }
 
 #[test]
+fn text_is_compressed_and_files_with_ranges_are_not() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let artifact = format!("/v1/jobs/{job}/artifacts/metrics.json");
+    let script = "/assets/main.js";
+    for (path, wanted) in
+        [("/v1/jobs", "gzip"), ("/openapi.yaml", "gzip"), (script, "gzip"), (&artifact, "")]
+    {
+        let coding = |accepted: &str| {
+            let reply = server.get(path, &[("accept-encoding", accepted)]).expect(200);
+            reply.header("content-encoding").to_owned()
+        };
+        assert_eq!(coding("gzip"), wanted, "{path}");
+        assert_eq!(coding("identity"), "", "{path}");
+    }
+}
+
+#[test]
 fn a_page_size_out_of_range_is_refused() {
     let server = Server::start();
     for (path, most) in [("/v1/jobs", 200), ("/v1/captures", 200)] {
@@ -105,9 +124,13 @@ fn readiness_reports_what_is_missing_and_what_to_do() {
         (&true.into(), &true.into(), &true.into())
     );
     assert_eq!(check("colmap")["hint"], "apt-get install colmap");
+    assert_eq!(ready["has_gpu"], false, "as the child process says");
     let page = server.get("/", &[]).expect(200);
     assert!(page.header("content-security-policy").contains("default-src 'none'"));
     assert!(page.text().contains("<title>fled</title>"));
+    assert!(page.header("content-security-policy").contains("frame-ancestors 'none'"));
+    let embedded = server.get("/embed", &[]).expect(200);
+    assert!(embedded.header("content-security-policy").contains("frame-ancestors *"));
     let missing = server.get("/nowhere", &[]).expect(404);
     assert_eq!(missing.header("content-type"), "application/problem+json");
     assert!(server.get("/openapi.yaml", &[]).expect(200).text().starts_with("openapi: 3.1"));

@@ -3,6 +3,8 @@
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use fled_core::image::Image;
+
 use crate::support::{Server, file, photograph, photographs, text, zip};
 
 #[test]
@@ -53,9 +55,10 @@ fn a_zip_is_validated_by_its_own_names_and_stored_unchanged() {
     assert_eq!(reply["accepted"], 3, "ground truth is no photograph: {reply:#}");
     assert_eq!(reply["images"][0]["name"], "a.png");
     let capture = server.data.path().join("data/captures").join(reply["id"].as_str().expect("id"));
-    let kept: Vec<_> =
+    let mut kept: Vec<_> =
         std::fs::read_dir(capture).expect("folder").flatten().map(|e| e.file_name()).collect();
-    assert_eq!(kept, ["upload.zip"]);
+    kept.sort();
+    assert_eq!(kept, [".thumbnails", "upload.zip"]);
     let bad =
         server.upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[]).expect(422).json();
     assert!(
@@ -94,6 +97,52 @@ fn a_photograph_is_known_by_the_path_that_it_was_sent_under() {
         .map(|image| image["name"].as_str().expect("a name"))
         .collect();
     assert_eq!(told, ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]);
+}
+
+#[test]
+fn every_photograph_that_was_decoded_has_a_thumbnail() {
+    let server = Server::start();
+    let zipped =
+        zip(&[("a.png", photograph(1)), ("b.png", photograph(2)), ("c.png", photograph(3))]);
+    let named: Vec<_> = { ["cam0/0.png", "cam1/0.png", "cam1/größe %.png"].iter().enumerate() }
+        .map(|(i, name)| file(name, &photograph(i)))
+        .collect();
+    for parts in [vec![file("walk.zip", &zipped)], named] {
+        let capture = server.upload("/v1/captures", &parts, &[]).expect(201).json();
+        let base = format!("/v1/captures/{}/thumbnails", capture["id"].as_str().expect("id"));
+        for image in capture["images"].as_array().expect("assessments") {
+            let name = image["name"].as_str().expect("a name");
+            let name = name.replace('%', "%25").replace(' ', "%20").replace('ö', "%C3%B6");
+            let picture = server.get(&format!("{base}/{}", name.replace('ß', "%C3%9F")), &[]);
+            let picture = picture.expect(200);
+            assert_eq!(picture.header("content-type"), "image/jpeg");
+            let path = server.data.path().join("thumbnail.jpg");
+            std::fs::write(&path, &picture.body).expect("written");
+            let small = Image::load(&path).expect("a picture");
+            assert!(small.width().max(small.height()) <= 240);
+            let [brightness, sharpness] =
+                ["brightness", "sharpness"].map(|key| image[key].as_f64().expect("told"));
+            assert!((0.0..=1.0).contains(&brightness) && sharpness > 0.0, "{image}");
+        }
+        for other in ["d.png", "..%2F..%2F..%2Ffled.db", "%2Fetc%2Fpasswd"] {
+            server.get(&format!("{base}/{other}"), &[]).expect(404);
+        }
+    }
+    let nowhere = "/v1/captures/0190a1de-0000-7000-8000-000000000000/thumbnails/a.png";
+    server.get(nowhere, &[]).expect(404);
+}
+
+#[test]
+fn a_sample_is_a_capture_like_any_other() {
+    let server = Server::start();
+    let reply = server.post("/v1/captures/sample", &[], &[]).expect(201);
+    let capture = reply.json();
+    let id = capture["id"].as_str().expect("id");
+    assert_eq!(reply.header("location"), format!("/v1/captures/{id}"));
+    assert_eq!((&capture["accepted"], &capture["warnings"]), (&20.into(), &serde_json::json!([])));
+    let body = serde_json::json!({ "capture_id": id, "options": { "adapter": "ok" } });
+    let job = server.post_json("/v1/jobs", &body, &[]).expect(202).json();
+    server.wait_state(job["id"].as_str().expect("id"), "succeeded");
 }
 
 #[test]

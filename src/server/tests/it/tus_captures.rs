@@ -60,7 +60,7 @@ fn resumable_uploads_of_photographs_become_a_capture() {
         format!("/v1/captures/{}", capture["id"].as_str().expect("id"))
     );
     let kept = data.join("captures").join(capture["id"].as_str().expect("id"));
-    assert_eq!(names(&kept), [".names.json", "gt", "images"]);
+    assert_eq!(names(&kept), [".names.json", ".thumbnails", "gt", "images"]);
     assert_eq!(
         names(&kept.join("images")),
         ["000-2.png", "000.png", "001.png", "002.png", "003.png", "notes.jpg"]
@@ -88,7 +88,7 @@ fn a_resumable_upload_of_a_zip_becomes_a_capture() {
     assert_eq!(made["accepted"], 3);
     let kept = server.data.path().join("data/captures");
     let kept = kept.join(made["id"].as_str().expect("id"));
-    assert_eq!(names(&kept), ["upload.zip"]);
+    assert_eq!(names(&kept), [".thumbnails", "upload.zip"]);
 }
 
 #[test]
