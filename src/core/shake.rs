@@ -7,6 +7,7 @@
 //! share. The optimiser does not learn `k_j`: [`estimate`] solves for it periodically from the
 //! renders.
 
+mod denoise;
 mod estimate;
 mod kernels;
 pub mod reference;
@@ -17,6 +18,7 @@ use std::collections::BTreeMap;
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
+pub use denoise::denoised;
 pub use estimate::{estimate, reach};
 use kernels::ShakeUniform;
 pub use response::Response;

@@ -1,13 +1,17 @@
 //! Chooses which views of a round train with a kernel, and on which image each trains.
 
+use rayon::prelude::*;
+
 use super::config::{Options, ShakeModel, TrainOn};
 use super::context::Context;
 use super::round::Round;
 use super::shaken::{self, Shaken};
 use super::views::View;
 use crate::camera::Split;
+use crate::deblur::NetworkChoice;
 use crate::image::Image;
 use crate::metrics::report::{CaptureShake, ViewScore};
+use crate::shake::{Response, denoised};
 
 /// For each view in order, whether a kernel explains its shake in a round. `shaken` was found
 /// before the rounds; `before` are the scores of the previous round's renders.
@@ -33,15 +37,17 @@ pub fn explained(
 pub enum TrainedOn {
     /// H.
     Enhanced,
+    /// H with less of its noise and all of its shake, for a kernel.
+    Denoised,
     /// D.
     Deblurred,
     /// Their mean: half the noise of H, and half of what deblurring invents in D.
     Mean,
 }
 
-/// The image on which a round trains each view, in order. A view without a kernel trains as
-/// deblurred where the network removed a shake; else on the mean of both, which is better than the
-/// enhanced view alone (docs/decisions/shake.md).
+/// The image on which a round trains each view, in order. A view with a kernel trains denoised: a
+/// scene sharpens noise through its kernel. A view without one trains as deblurred where the
+/// network removed a shake; else on the mean of both (docs/decisions/shake.md).
 pub fn trained_on(
     options: &Options,
     round: &Round,
@@ -51,9 +57,10 @@ pub fn trained_on(
 ) -> Vec<TrainedOn> {
     let is_earned = options.shake == ShakeModel::Late && options.train_on == TrainOn::Auto;
     let told = is_earned.then(|| shaken::told(enhanced, deblurred, &round.response));
+    let is_denoised = is_earned && options.deblur != NetworkChoice::Identity;
     let of = |(index, &explained): (usize, &bool)| {
         if options.trains_on_enhanced(explained) {
-            TrainedOn::Enhanced
+            if is_denoised { TrainedOn::Denoised } else { TrainedOn::Enhanced }
         } else if told.as_ref().is_none_or(|told| told[index]) {
             TrainedOn::Deblurred
         } else {
@@ -63,19 +70,20 @@ pub fn trained_on(
     explained.iter().enumerate().map(of).collect()
 }
 
-/// The training images of the views.
+/// The training images of the views, encoded by the round's `response`.
 pub fn training_images(
     trained_on: &[TrainedOn],
     enhanced: &[Image],
     deblurred: &[Image],
+    response: &Response,
 ) -> Vec<Image> {
     let of = |((enhanced, deblurred), on): ((&Image, &Image), &TrainedOn)| match on {
         TrainedOn::Enhanced => enhanced.clone(),
+        TrainedOn::Denoised => denoised(enhanced, deblurred, response),
         TrainedOn::Deblurred => deblurred.clone(),
         TrainedOn::Mean => mean(enhanced, deblurred),
     };
-    let pairs = enhanced.iter().zip(deblurred);
-    pairs.zip(trained_on).map(of).collect()
+    enhanced.par_iter().zip(deblurred).zip(trained_on).map(of).collect()
 }
 
 fn mean(one: &Image, other: &Image) -> Image {
@@ -98,11 +106,12 @@ pub fn tell(
     let trained: Vec<usize> = (0..views.len()).filter(trained).collect();
     let on = |kind| trained.iter().filter(|&&i| trained_on[i] == kind).count();
     let line = format!(
-        "{} views train: {} enhanced, {} of them through a kernel of their shake, {} deblurred, \
-         and {} as the mean of both",
+        "{} views train, {} of them through a kernel of their shake: {} enhanced, {} denoised, {} \
+         deblurred, and {} as the mean of enhanced and deblurred",
         trained.len(),
-        on(TrainedOn::Enhanced),
         trained.iter().filter(|&&i| explained[i]).count(),
+        on(TrainedOn::Enhanced),
+        on(TrainedOn::Denoised),
         on(TrainedOn::Deblurred),
         on(TrainedOn::Mean),
     );
@@ -117,7 +126,7 @@ mod tests {
     use crate::pipeline::config::LutScope;
     use crate::pipeline::tone::Tone;
     use crate::shake::reference::shaken_image;
-    use crate::shake::{Response, ShakeKernel, Tap};
+    use crate::shake::{ShakeKernel, Tap};
     use glam::DVec3;
 
     /// Discs of many sizes.
@@ -181,7 +190,7 @@ mod tests {
 
     #[test]
     fn views_train_deblurred_where_shake_was_removed_else_as_mean() {
-        use TrainedOn::{Deblurred, Enhanced, Mean};
+        use TrainedOn::{Deblurred, Denoised, Enhanced, Mean};
         let dark = sharp();
         let anchor = Anchor::exposure(0.0);
         let round = Round::new(1, anchor, Tone::fit(LutScope::Scene, &[&dark], &[anchor]));
@@ -191,15 +200,17 @@ mod tests {
         };
         let auto = Options::default();
         assert_eq!(of(&auto, [false, false]), [Deblurred, Mean]);
-        assert_eq!(of(&auto, [true, true]), [Enhanced, Enhanced]);
+        assert_eq!(of(&auto, [true, true]), [Denoised, Denoised]);
+        let network_less = Options { deblur: NetworkChoice::Identity, ..auto.clone() };
+        assert_eq!(of(&network_less, [true, true]), [Enhanced, Enhanced]);
         let paper = Options { train_on: TrainOn::Deblurred, ..auto };
         assert_eq!(of(&paper, [false, true]), [Deblurred, Deblurred]);
     }
 
     #[test]
-    fn training_images_are_enhanced_deblurred_or_their_mean() {
+    fn training_images_are_enhanced_deblurred_or_between() {
         let [dark, bright] = [0.2, 0.6].map(|value| [sharp().map(|_| value)]);
-        let of = |on| training_images(&[on], &dark, &bright);
+        let of = |on| training_images(&[on], &dark, &bright, &Response::srgb());
         let value = |on| of(on)[0].data()[7];
         assert_eq!(value(TrainedOn::Enhanced), 0.2);
         assert_eq!(value(TrainedOn::Deblurred), 0.6);

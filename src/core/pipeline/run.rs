@@ -179,7 +179,7 @@ fn round(
     let explained = explained(asked.options, views, asked.shaken, known);
     let trained = trained_on(asked.options, round, &explained, &enhanced, &deblurred);
     explained::tell(context, round.number, views, &explained, &trained);
-    let images = training_images(&trained, &enhanced, &deblurred);
+    let images = training_images(&trained, &enhanced, &deblurred, &round.response);
     let material = Material {
         round,
         views,

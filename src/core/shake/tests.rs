@@ -1,7 +1,11 @@
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+
 use super::reference::ReferenceShake;
 use super::*;
 use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
+use crate::random::normal;
 
 /// An S of 15 taps with one heavier tap, so that it has no symmetry.
 fn curve() -> ShakeKernel {
@@ -211,4 +215,38 @@ fn struct_and_constants_match_the_shaders() {
     assert_eq!(std::mem::offset_of!(ShakeUniform, smooth_weight), 12);
     let (text, _) = kernels::BLUR_BACKWARD.reflect().expect("valid");
     assert!(text.contains(&format!("const BEND: f32 = {SMOOTH_BEND:?};")));
+}
+
+/// Root mean square difference of pixels whose place meets the condition.
+fn difference(one: &Image, other: &Image, is_meant: impl Fn(usize, usize) -> bool) -> f64 {
+    let (width, pixels) = (one.width(), one.pixels());
+    let is_meant = |at: usize| is_meant(at % pixels % width, at % pixels / width);
+    let squares: Vec<f64> = { one.data().iter().zip(other.data()).enumerate() }
+        .filter(|(at, _)| is_meant(*at))
+        .map(|(_, (one, other))| f64::from((one - other).powi(2)))
+        .collect();
+    (squares.iter().sum::<f64>() / squares.len() as f64).sqrt()
+}
+
+#[test]
+fn denoising_keeps_shake_and_what_deblurring_got_wrong() {
+    const NOISE: f64 = 0.05;
+    let (sharp, response) = (picture(240, 180), Response::srgb());
+    let blurred = shaken(&sharp, &curve(), &response);
+    let mut photograph = blurred.clone();
+    let mut random = Pcg64Mcg::seed_from_u64(7);
+    photograph.data_mut().iter_mut().for_each(|v| *v += (NOISE * normal(&mut random)) as f32);
+    let clean = denoised(&photograph, &sharp, &response);
+    let everywhere = |_, _| true;
+    let left = difference(&clean, &blurred, everywhere);
+    assert!(left < 0.75 * NOISE, "{left:.4}");
+    let shake = difference(&sharp, &blurred, everywhere);
+    assert!(left < 0.5 * shake, "{left:.4} of {shake:.4}: it is not sharpened");
+    let mut wrong = sharp;
+    let is_wrong = |x: usize, y: usize| (80..140).contains(&x) && (60..120).contains(&y);
+    for (x, y) in (0..240 * 180).map(|at| (at % 240, at / 240)).filter(|&(x, y)| is_wrong(x, y)) {
+        wrong.set(x, y, [0.9; 3]);
+    }
+    let kept = difference(&denoised(&photograph, &wrong, &response), &blurred, is_wrong);
+    assert!(kept < 1.3 * NOISE, "{kept:.4}");
 }
