@@ -54,6 +54,7 @@ export function jobPage(main, who, id) {
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
+  let onceRounds = () => {};
   let [stream, isHeard, hasEnded, timer, gone, cameras, placed, capture, given, reported] = [null, false, false, 0, false, null, 0, null, undefined, ""];
 
   async function refresh() {
@@ -102,6 +103,7 @@ export function jobPage(main, who, id) {
     given = found.images.length;
     // Before the first round nothing else is to be seen.
     const isEarly = !isOver(job) && !job.stages.some((stage) => stage.round > 0);
+    onceRounds = () => show(unused, leftOut(found));
     show(unused, leftOut(found), isEarly && strip(found));
   }
 
@@ -121,6 +123,7 @@ export function jobPage(main, who, id) {
     }
     scene.update(job.name || id, cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
+    onceRounds();
     if (cameras) views.update(cameras, rounds, hasTruth(report.rounds));
     novel?.update(rounds);
     if (job.state !== "succeeded") return;

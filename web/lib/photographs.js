@@ -20,7 +20,11 @@ export const used = (capture) => `${capture.accepted} of ${count(capture.images.
 /** Mean value of a thumbnail as it is shown, and by how much it is made brighter for that at most. */
 const [SHOWN, MOST] = [0.4, 12];
 
-/** A small picture of it, brightened so that something is seen; empty where the server has none. */
+/**
+ * A small picture of it, brightened so that something is seen; empty where the server has none.
+ * @param {Capture} capture
+ * @param {Capture["images"][number]} image
+ */
 function thumbnail(capture, { name, brightness }) {
   if (brightness === undefined) return "";
   const image = h("img", { alt: "", loading: "lazy", src: `/v1/captures/${capture.id}/thumbnails/${address(name)}` });

@@ -75,7 +75,9 @@ class View {
   #isGone = false;
 
   constructor(of, cameras, scenes, ended) {
-    Object.assign(this, of);
+    this.job = of.job;
+    this.headers = of.headers;
+    this.name = of.name;
     this.world = worldOf(cameras);
     cameras = cameras.map((camera) => cameraWithin(camera, this.world));
     this.cameras = cameras;

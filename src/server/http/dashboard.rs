@@ -1,8 +1,8 @@
 //! The dashboard: plain embedded files, without external resources.
 //!
 //! A page consists of some fifty small modules. Their addresses name this build, so that a browser
-//! keeps them for good and never shows a page of another build with old scripts. The page names all modules that it needs at once: a browser does not find them
-//! one behind the other.
+//! keeps them for good and never shows a page of another build with old scripts. The page names all
+//! modules that it needs at once: a browser does not find them one behind the other.
 
 use std::borrow::Cow;
 use std::collections::{BTreeSet, HashMap};
@@ -112,9 +112,9 @@ pub async fn embedded(headers: HeaderMap) -> Response {
     ([(header::CONTENT_SECURITY_POLICY, policy)], file("embed.html", &headers)).into_response()
 }
 
-/// Their styles and scripts, by name or below the address of a build. A page of another build, still
-/// open or sent by another replica, gets what this one has, but only what is of this build never
-/// changes.
+/// Their styles and scripts, by name or below the address of a build. A page of another build,
+/// still open or sent by another replica, gets what this one has, but only what is of this build
+/// never changes.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
     let is_build = |part: &str| part.len() == 16 && part.bytes().all(|b| b.is_ascii_hexdigit());
     match name.split_once('/') {
