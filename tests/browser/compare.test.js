@@ -292,6 +292,25 @@ both(
   },
 );
 
+test("poses of an earlier job count no time, beside another and on the job's page", async () => {
+  const ids = await two();
+  await stand.visit("reused", `#/compare/${ids.join(",")}`, async (page) => {
+    await page.route(`**/v1/jobs/${ids[1]}`, async (route) => {
+      const response = await route.fetch();
+      const job = await response.json();
+      for (const stage of job.stages) if (stage.stage === "poses") stage.seconds = 107;
+      await route.fulfill({ response, json: job });
+    });
+    await page.reload();
+    const row = page.getByRole("region", { name: "Time by stage" }).locator("tr", { hasText: "poses" });
+    await until("one of them is reused", async () =>
+      /^poses[\d.]+ sreused$/.test((await row.textContent()) ?? ""));
+    await page.goto(`${stand.server.base}/#/jobs/${ids[1]}`);
+    await seen(page.locator(".bars"), "reused from an earlier job");
+    assert.ok(!(await page.locator(".bars").textContent()).includes("1 min 47 s"));
+  });
+});
+
 test("a server that does not answer for a while is asked again", async () => {
   const ids = await two();
   await stand.visit("asked-again", `#/compare/${ids.join(",")}`, async (page, faults) => {

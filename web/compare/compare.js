@@ -16,7 +16,7 @@ import {
   tag,
 } from "./entries.js";
 import { best, cell, points, scores } from "./scores.js";
-import { pill, setBar, took } from "../lib/state.js";
+import { pill, reusedPoses, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { METRICS, optionName } from "../lib/words.js";
 
@@ -241,7 +241,11 @@ function timeTable(entries) {
     h(
       "tbody",
       {},
-      stages.map((name) => line(name, (one) => duration(of(one, name)))),
+      stages.map((name) =>
+        line(name, (one) =>
+          name === "poses" && reusedPoses(one.job) ? "reused" : duration(of(one, name)),
+        ),
+      ),
     ),
   );
   return Object.assign(

@@ -1,18 +1,23 @@
 // How a job was run: time by stage, what was used, every option.
 
 import { duration, h, plain } from "../lib/dom.js";
+import { reusedPoses } from "../lib/state.js";
 import { optionName } from "../lib/words.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
 
-/** @param {import("fled-api").StageTime[]} stages */
-export function stageBars(stages) {
-  const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
+/** @param {import("fled-api").Job} job */
+export function stageBars(job) {
+  const isReused = reusedPoses(job);
+  const taken = job.stages.filter((stage) => !isReused || stage.stage !== "poses");
+  const rows = taken.sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
   const most = Math.max(...rows.map((row) => row.seconds));
   const bars = h("div", { class: "bars" }, rows.flatMap((row) => [
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
+  if (rows.length === 0) return null;
+  if (isReused) bars.prepend(h("span", {}, "poses"), h("span", { class: "soft" }, "reused from an earlier job"), h("span"));
   return Object.assign(bars, { gist: `mostly ${rows.find((row) => row.seconds === most).stage}` });
 }
 

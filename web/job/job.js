@@ -68,7 +68,7 @@ export function jobPage(main, who, id) {
       problem.textContent = "";
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
         job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: `, prose(warning.message)))));
-      show(times, job.stages.length > 0 && stageBars(job.stages));
+      show(times, job.stages.length > 0 && stageBars(job));
       log?.follow(!isOver(job));
       if (isOver(job)) {
         training.over();

@@ -84,6 +84,14 @@ export const seconds = ({ started_at: from, finished_at: to }) =>
   from && to ? Math.max(1e-3, (Date.parse(to) - Date.parse(from)) / 1000) : 0;
 
 /**
+ * Whether a finished job took its poses from an earlier one, whose time its first stage then has:
+ * its stages hold more time than it took.
+ * @param {Job} job
+ */
+export const reusedPoses = (job) =>
+  isOver(job) && seconds(job) > 0 && job.stages.reduce((sum, stage) => sum + stage.seconds, 0) > seconds(job);
+
+/**
  * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.
  * @param {HTMLProgressElement} bar
  * @param {Job} job
