@@ -33,10 +33,12 @@ fn numbers(url: &str, upto: usize) -> String {
 async fn copy(url: &str, job: &str, count: usize, state: &str) {
     install_default_drivers();
     let pool = AnyPoolOptions::new().connect(url).await.expect("connect");
+    // The ids are UUIDs, which differ by state.
+    let group = &blake3::hash(state.as_bytes()).to_hex()[..8];
     let copies = format!(
         "{} INSERT INTO jobs (id, name, capture_id, preset, options, state, rounds, progress,
              created_at, started_at, finished_at)
-         SELECT '{state}-' || CAST(1000000 + n AS TEXT), name, capture_id, preset, options,
+         SELECT '{group}-0000-7000-8000-' || CAST(100000000000 + n AS TEXT), name, capture_id, preset, options,
              '{state}', rounds, progress, created_at + n, started_at, finished_at
          FROM jobs, t WHERE id = '{job}'",
         numbers(url, count)
