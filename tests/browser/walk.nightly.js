@@ -58,7 +58,7 @@ async function dropped(page) {
   await part(page, "New job").getByLabel("Preset").selectOption("preview");
   await page.getByText("Options", { exact: true }).click();
   for (const [name, value] of Object.entries(OPTIONS)) {
-    await page.getByLabel(name, { exact: true }).fill(String(value));
+    await page.locator(`[id$="-${name}"]`).first().fill(String(value));
   }
 }
 
@@ -74,7 +74,7 @@ async function accepted(page) {
 }
 
 async function posed(page, film) {
-  await seen(page.locator(".now"), /poses · \d:\d\d so far; usually one to two minutes/);
+  await seen(page.locator(".now"), /poses · (\d+ of \d+ photographs and pairs matched · )?\d:\d\d so far; usually one to two minutes/);
   const root = part(page, "Scene");
   const poster = root.getByRole("button", { name: /^View cameras and points/ });
   await film.fast(() => poster.waitFor({ timeout: LONG }));
@@ -161,7 +161,7 @@ async function compared(page) {
   await rows.first().waitFor();
   const texts = await rows.allInnerTexts();
   assert.deepEqual(texts.map((text) => text.trim().split(/\s+/)).sort(),
-    [["shake", "off", "late"], ["steps", "200", "600"]]);
+    [["Shake", "off", "late"], ["Training", "steps", "200", "600"]]);
   const slider = part(page, "The same view side by side").getByRole("slider");
   await until("both sides are there", () => loaded(slider.locator("img")));
 }
