@@ -104,7 +104,7 @@ both("a job that failed says why in a row of its own, one that is over how long 
         "too few photographs could be placed: 3 of 20 photographs could be placed",
       );
       const done = page.locator("tr", { hasText: FINISHED });
-      await seen(done.locator("td[data-label=Time]"), /^\d+\.\d s$/);
+      await seen(done.locator("td[data-label=Time]"), /^(\d+ min )?[\d.]+ s$/);
       assert.equal(await done.getByRole("progressbar").count(), 0);
     },
     width,
