@@ -83,20 +83,18 @@ fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
         server.get(&path, &[("if-none-match", tag)])
     };
     server.wait(&job, "seen", |_| live("").status == 200);
-    // Right after a new picture there is time for two requests.
     let first = live("").expect(200);
-    let picture = loop {
+    server.wait(&job, "seen twice", |_| live(first.header("etag")).status == 200);
+    // The next picture may come between the two requests.
+    server.wait(&job, "seen unchanged", |_| {
         let picture = live("").expect(200);
-        if picture.header("etag") != first.header("etag") {
-            break picture;
-        }
-    };
-    assert_eq!(
-        (picture.header("content-type"), &picture.body[..2]),
-        ("image/jpeg", &[0xff, 0xd8][..])
-    );
-    assert_eq!(picture.header("cache-control"), "no-cache");
-    live(picture.header("etag")).expect(304);
+        assert_eq!(
+            (picture.header("content-type"), &picture.body[..2]),
+            ("image/jpeg", &[0xff, 0xd8][..])
+        );
+        assert_eq!(picture.header("cache-control"), "no-cache");
+        live(picture.header("etag")).status == 304
+    });
     let list = server.get(&format!("/v1/jobs/{job}/artifacts"), &[]);
     assert!(!list.text().contains("training.jpg"), "it is no result");
     server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202);
@@ -111,7 +109,8 @@ fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
         of_name.map(|(_, _, data)| data.clone()).collect()
     };
     let (scores, views) = (told("held_out_seen"), told("view_seen"));
-    assert!(views.len() >= 2 && scores.len() >= 2, "{events:?}");
+    // The cancellation may come between the second picture and the events that tell of it.
+    assert!(!views.is_empty() && !scores.is_empty(), "{events:?}");
     assert_eq!(
         scores[0],
         json!({ "event": "held_out_seen", "round": 1, "step": 100, "steps": 1000,
