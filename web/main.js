@@ -1,16 +1,12 @@
-// Chooses the page by the address behind `#` and keeps one page alive at a time.
+// Chooses the page by the address behind `#` and keeps one page alive at a time. The list of jobs
+// is what is opened first; the modules of the other pages follow once it is there, or are loaded
+// when their page is opened.
 
-import { capturePage } from "./pages/capture.js";
-import { capturesPage } from "./pages/captures.js";
-import { comparePage } from "./compare/compare.js";
 import { nothing } from "./lib/dom.js";
-import { jobPage } from "./job/job.js";
 import { listPage } from "./pages/list.js";
-import { readiness } from "./lib/machine.js";
+import { areWorkers, readiness } from "./lib/machine.js";
 import { loginPage, seesAll, session } from "./lib/login.js";
-import { referencePage } from "./pages/reference.js";
 import { link, openLink } from "./pages/visitor.js";
-import { areWorkers, workersPage } from "./pages/workers.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
@@ -18,6 +14,8 @@ const pages = document.getElementById("pages");
 const workers = document.getElementById("workers");
 const none = () => {};
 let leave = none;
+/** Pages opened so far: what was loaded for an earlier one is not shown. */
+let opened = 0;
 let isLockedOut = false;
 /**
  * This browser's session.
@@ -26,23 +24,50 @@ let isLockedOut = false;
 let who = { needed: false, scopes: null, job: null };
 
 /**
- * Pages by address; what is in brackets goes to the page.
- * @type {[RegExp, (main: HTMLElement, ...found: string[]) => () => void][]}
+ * A page: shows itself, given what the address names, and returns what ends it.
+ * @typedef {(main: HTMLElement, ...found: string[]) => () => void} Page
+ */
+
+/** @type {() => Promise<Page>} */
+const loadList = async () => listPage;
+/** @type {() => Promise<Page>} */
+async function loadJob() {
+  const { jobPage } = await import("./job/job.js");
+  return (main, id) => jobPage(main, who, id);
+}
+/** @type {() => Promise<Page>} */
+const loadCapture = async () => (await import("./pages/capture.js")).capturePage;
+
+/**
+ * Pages by address: what loads each, and the module with its page. What is in brackets goes to the
+ * page.
+ * @type {[RegExp, () => Promise<Page>, string?][]}
  */
 const ROUTES = [
-  [/^(?:#?\/?)$/, listPage],
-  [/^#\/jobs\/([^/]+)$/, (main, id) => jobPage(main, who, id)],
-  [/^#\/compare\/([^/]*)$/, comparePage],
-  [/^#\/captures$/, capturesPage],
-  [/^#\/captures\/([^/]+)$/, capturePage],
-  [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, capturePage],
-  [/^#\/workers$/, (main) => workersPage(main, who)],
-  [/^#\/api$/, referencePage],
+  [/^(?:#?\/?)$/, loadList],
+  [/^#\/jobs\/([^/]+)$/, loadJob, "job/job.js"],
+  [/^#\/compare\/([^/]*)$/, async () => (await import("./compare/compare.js")).comparePage, "compare/compare.js"],
+  [/^#\/captures$/, async () => (await import("./pages/captures.js")).capturesPage, "pages/captures.js"],
+  [/^#\/captures\/([^/]+)$/, loadCapture, "pages/capture.js"],
+  [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, loadCapture, "pages/capture.js"],
+  [/^#\/workers$/, async () => {
+    const { workersPage } = await import("./pages/workers.js");
+    return (main) => workersPage(main, who);
+  }, "pages/workers.js"],
+  [/^#\/api$/, async () => (await import("./pages/reference.js")).referencePage, "pages/reference.js"],
 ];
+
+/** Fetches what the page of `module` imports, all at once; without a module, what all pages do. */
+function preload(module) {
+  for (const link of /** @type {NodeListOf<HTMLLinkElement>} */ (document.querySelectorAll("link[data-of]"))) {
+    if (module === undefined || link.dataset.of.split(" ").includes(module)) link.rel = "modulepreload";
+  }
+}
 
 function route() {
   leave();
   leave = none;
+  opened += 1;
   main.replaceChildren();
   document.title = "fled";
   const part = ["#/captures", "#/workers", "#/api"].find((page) => location.hash.startsWith(page)) ?? "#/";
@@ -52,28 +77,41 @@ function route() {
     if (here) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");
   }
-  leave = special() ?? leave;
-  if (leave !== none) return;
-  // The part behind `?` is the page's own.
-  const [path] = location.hash.split("?");
-  for (const [pattern, page] of ROUTES) {
-    const found = path.match(pattern);
-    if (found) {
-      leave = page(main, ...found.slice(1));
-      return;
-    }
+  const shared = link(location.hash);
+  if (shared) {
+    leave = openLink(main, shared, enter);
+  } else if (isLockedOut && location.hash !== "#/api") {
+    leave = loginPage(main, enter);
+  } else if (who.job !== null && location.hash !== "#/api") {
+    // A visitor by a link to a job sees that job at every address.
+    show(loadJob, "job/job.js", [who.job]);
+  } else {
+    // The part behind `?` is the page's own.
+    const [path] = location.hash.split("?");
+    const [pattern, load, module] = ROUTES.find(([pattern]) => pattern.test(path)) ?? [];
+    if (load) show(load, module, path.match(pattern).slice(1));
+    else nothing(main, "Page not found.");
   }
-  nothing(main, "Page not found.");
 }
 
-/** The page that is shown whatever the address, where there is one. */
-function special() {
-  const shared = link(location.hash);
-  if (shared) return openLink(main, shared, enter);
-  if (location.hash === "#/api") return null;
-  if (isLockedOut) return loginPage(main, enter);
-  // A visitor by a link to a job sees that job at every address.
-  return who.job === null ? null : jobPage(main, who, who.job);
+/**
+ * @param {() => Promise<Page>} load
+ * @param {string | undefined} module
+ * @param {string[]} found
+ */
+async function show(load, module, found) {
+  const mine = opened;
+  if (module) preload(module);
+  let page;
+  try {
+    page = await load();
+  } catch {
+    const again = "The server did not send this page. Reload once it responds again.";
+    if (mine === opened) nothing(main, again);
+    return;
+  }
+  if (mine === opened) leave = page(main, ...found);
+  setTimeout(preload, REST_MS);
 }
 
 /** Finds out whether this browser may look at anything. */
@@ -121,6 +159,8 @@ logout.addEventListener("click", async () => {
 
 /** So often the page looks whether the server is there, and waits so long: it says so within 5 s. */
 const ALIVE_MS = 2400;
+/** So long after a page is shown, the modules of the others follow. */
+const REST_MS = 1500;
 const place = document.getElementById("health");
 let isThere = true;
 

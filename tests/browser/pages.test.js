@@ -153,6 +153,19 @@ both("photographs that were left out stand on the job's page, with the reason", 
     assert.equal(await part(page, "Photographs").locator("tbody tr").count(), 9);
   }, width));
 
+test("a page whose modules do not come says so, and is there once they do", () =>
+  stand.visit("no-modules", "#/", async (page, faults) => {
+    await part(page, "New job").waitFor();
+    let isGone = true;
+    await page.route("**/pages/captures.js", (route) => (isGone ? route.abort() : route.continue()));
+    await page.goto(`${server.base}/?anew#/captures`);
+    await seen(page.getByRole("alert"), "The server did not send this page.");
+    isGone = false;
+    await page.reload();
+    await page.getByRole("heading", { name: "Captures", level: 1 }).waitFor();
+    faults.length = 0;
+  }));
+
 both("what is unknown is a sentence with a way back, and no empty box", async (width) => {
   for (const [hash, words, link] of [
     [`#/jobs/${NOWHERE}`, "Job not found.", "All jobs"],

@@ -1,7 +1,7 @@
 // Which other jobs a job is compared with.
 
 import { api, h, when } from "../lib/dom.js";
-import { MOST, addressOf } from "./entries.js";
+import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
 
 /** As many of the newest are offered. */
 const OFFERED = 50;
@@ -53,9 +53,9 @@ export async function compareWith(job) {
   const chosen = () => boxes.filter((box) => box.checked).map((box) => box.value);
   function count() {
     const number = chosen().length;
-    go.disabled = number === 0 || number >= MOST;
+    go.disabled = number === 0 || number >= MOST_COMPARED;
     words.textContent =
-      number >= MOST ? `You can compare up to ${MOST} jobs, including this one.` : "";
+      number >= MOST_COMPARED ? `You can compare up to ${MOST_COMPARED} jobs, including this one.` : "";
   }
   const away = () => dialog.close();
   const groups = [
@@ -69,7 +69,7 @@ export async function compareWith(job) {
       {
         method: "dialog",
         onsubmit: () => {
-          location.hash = addressOf([job.id, ...chosen()]);
+          location.hash = comparisonOf([job.id, ...chosen()]);
         },
       },
       groups.length > 0

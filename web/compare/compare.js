@@ -4,8 +4,6 @@ import { beside } from "./beside.js";
 import { count, duration, folding, h, nothing, plain, prose, refill, section, show } from "../lib/dom.js";
 import { differences, sorted } from "./differences.js";
 import {
-  MOST,
-  addressOf,
   called,
   entry,
   isDone,
@@ -15,6 +13,7 @@ import {
   note,
   tag,
 } from "./entries.js";
+import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
 import { best, cell, points, scores } from "./scores.js";
 import { pill, reusedPoses, setBar, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
@@ -53,7 +52,7 @@ export function comparePage(main, list) {
   function draw() {
     const words = cautions(entries);
     if (left > 0)
-      words.unshift(`The link names ${count(left, "more job")}; only ${MOST} can be compared.`);
+      words.unshift(`The link names ${count(left, "more job")}; only ${MOST_COMPARED} can be compared.`);
     notices.replaceChildren(...words.map((text) => h("li", {}, text)));
     notices.hidden = words.length === 0;
     const isFair = isOneCapture(scored(entries));
@@ -190,7 +189,7 @@ function who(one, entries, drop) {
   const out = h(
     "a",
     {
-      href: addressOf(others),
+      href: comparisonOf(others),
       class: "out",
       title: "Remove from the comparison",
       "aria-label": `Remove ${called(one)} from the comparison`,

@@ -2,17 +2,15 @@
 
 import { mark } from "../lib/chart.js";
 import { api, count, h } from "../lib/dom.js";
+import { MOST_COMPARED } from "../lib/place.js";
 import { doing, isOver } from "../lib/state.js";
 import { failed } from "../lib/words.js";
-
-/** One can tell so many lines apart. */
-export const MOST = 6;
 
 /** The jobs that an address names, each once: `{ ids, left }`, `left` being those too many. */
 export function named(list) {
   const parts = list.split(",").map((part) => decoded(part).trim());
   const ids = [...new Set(parts.filter(Boolean))];
-  return { ids: ids.slice(0, MOST), left: Math.max(0, ids.length - MOST) };
+  return { ids: ids.slice(0, MOST_COMPARED), left: Math.max(0, ids.length - MOST_COMPARED) };
 }
 
 /** Not every address that somebody types can be decoded. */
@@ -23,9 +21,6 @@ function decoded(part) {
     return part;
   }
 }
-
-/** The address of a comparison. */
-export const addressOf = (ids) => `#/compare/${ids.map(encodeURIComponent).join(",")}`;
 
 /** A job of a comparison: a letter and a style of its own from the first to the last look. */
 export const entry = (id, number) => ({

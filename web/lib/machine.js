@@ -1,4 +1,6 @@
-// The machine that the server runs on.
+// The machine that the server runs on, and those that work for it.
+
+import { api } from "./dom.js";
 
 let asked = null;
 
@@ -16,3 +18,9 @@ export async function lacksGpu() {
     return false;
   }
 }
+
+/**
+ * Whether there are workers, for somebody who may see them.
+ * @returns {Promise<boolean>}
+ */
+export const areWorkers = async () => (await api("/v1/workers")).workers.length > 0;

@@ -1,4 +1,11 @@
-// State that a page keeps in its address behind `?`: links and the way back lead to it.
+// Addresses, and the state that a page keeps behind the `?` of its own: links and the way back lead
+// to it.
+
+/** One can tell so many lines apart. */
+export const MOST_COMPARED = 6;
+
+/** The address of a comparison. */
+export const comparisonOf = (ids) => `#/compare/${ids.map(encodeURIComponent).join(",")}`;
 
 /** The state in the address. */
 export const asked = () => new URLSearchParams(location.hash.split("?")[1] ?? "");

@@ -2,7 +2,7 @@
 
 import { ask } from "../lib/dialog.js";
 import { api, count, h } from "../lib/dom.js";
-import { MOST, addressOf } from "../compare/entries.js";
+import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
 
 const GONE = "This permanently deletes their scenes, pictures and scores. The photographs are kept.";
 
@@ -32,8 +32,8 @@ export function selection(refresh) {
     root.hidden = jobs.length === 0 && problem.textContent === "";
     const unseen = jobs.filter((job) => !shown.includes(job.id)).length;
     words.textContent = `${howMany(jobs.length)}${whereAre(unseen, jobs.length)}`;
-    compare.hidden = jobs.length < 2 || jobs.length > MOST;
-    compare.href = addressOf([...chosen.keys()]);
+    compare.hidden = jobs.length < 2 || jobs.length > MOST_COMPARED;
+    compare.href = comparisonOf([...chosen.keys()]);
     compare.textContent = `Compare ${count(jobs.length, "job")}`;
     remove.hidden = jobs.length === 0;
     none.hidden = jobs.length === 0;
@@ -116,8 +116,8 @@ export function selection(refresh) {
 function howMany(number) {
   if (number === 0) return "";
   if (number === 1) return "1 job selected. Select another one to compare.";
-  return number > MOST
-    ? `${number} jobs selected. You can compare up to ${MOST}.`
+  return number > MOST_COMPARED
+    ? `${number} jobs selected. You can compare up to ${MOST_COMPARED}.`
     : `${number} jobs selected.`;
 }
 

@@ -35,9 +35,6 @@ const NONE =
 /** @returns {Promise<import("fled-api").Workers>} */
 const ask = () => api("/v1/workers");
 
-/** Whether there are any, for somebody who may see them. */
-export const areWorkers = async () => (await ask()).workers.length > 0;
-
 /** The page, anew every few seconds while it is seen. */
 export function workersPage(main, who) {
   document.title = "Workers · fled";

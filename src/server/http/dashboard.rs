@@ -2,10 +2,11 @@
 //!
 //! A page consists of some fifty small modules. Their addresses name this build, so that a browser
 //! keeps them for good and never shows a page of another build with old scripts. The page names all
-//! modules that it needs at once: a browser does not find them one behind the other.
+//! modules that it needs at once, and those that each of its parts needs once it is opened: a
+//! browser does not find them one behind the other.
 
 use std::borrow::Cow;
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::LazyLock;
 
 use axum::extract::Path;
@@ -59,14 +60,31 @@ static BUILD: LazyLock<String> = LazyLock::new(|| {
     hasher.finalize().to_hex()[..16].to_owned()
 });
 
-/// A page with the addresses of this build, and links to all modules that its `script` imports.
+/// A page with the addresses of this build, links to all modules that its `script` imports, and
+/// links without effect to those that it may import later, which name the module they are for.
 fn page(html: &str, script: &str) -> String {
     let base = format!("/assets/{}/", *BUILD);
-    let links: String = imported(script)
+    let modules = imported(script);
+    let first = modules.iter().map(|name| format!("rel=\"modulepreload\" href=\"{base}{name}\""));
+    let mut later: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for part in imported_later(script) {
+        for name in imported(&part).into_iter().filter(|name| !modules.contains(name)) {
+            later.entry(name).or_default().push(part.clone());
+        }
+    }
+    let later = later
         .iter()
-        .map(|name| format!("<link rel=\"modulepreload\" href=\"{base}{name}\">\n"))
-        .collect();
+        .map(|(name, of)| format!("data-of=\"{}\" href=\"{base}{name}\"", of.join(" ")));
+    let links: String = first.chain(later).map(|link| format!("<link {link}>\n")).collect();
     html.replace("/assets/", &base).replace("</head>", &format!("{links}</head>"))
+}
+
+/// The modules that `script` loads once it needs them.
+fn imported_later(script: &str) -> BTreeSet<String> {
+    let text = Web::get(script).map(|file| file.data).unwrap_or_default();
+    let text = String::from_utf8_lossy(&text);
+    let paths = text.split("import(\"./").skip(1).filter_map(|rest| rest.split_once('"'));
+    paths.map(|(path, _)| beside(script, path)).collect()
 }
 
 /// The module `name` and all that it imports statically, directly or indirectly.
@@ -160,12 +178,17 @@ mod tests {
         assert_eq!(page.matches("/assets/").count(), page.matches(&base).count());
         let modules = imported("main.js");
         assert!(modules.contains("lib/dom.js"), "imported by main.js and by others");
-        assert!(!modules.contains("scene/view.js"), "loaded once a scene is opened");
-        for name in modules {
+        for name in &modules {
             let link = format!("<link rel=\"modulepreload\" href=\"{base}{name}\">");
             assert_eq!(page.matches(&link).count(), 1, "{name}");
-            assert!(ASSETS.contains_key(&name), "{name}");
+            assert!(ASSETS.contains_key(name), "{name}");
         }
+        let named = |of: &str, name: &str| {
+            page.contains(&format!("<link data-of=\"{of}\" href=\"{base}{name}\">"))
+        };
+        assert!(named("job/job.js", "job/views.js"), "{page}");
+        assert!(named("compare/compare.js job/job.js", "lib/split.js"), "{page}");
+        assert!(!page.contains("scene/view.js"), "loaded once a scene is opened");
     }
 
     #[tokio::test]
