@@ -23,7 +23,7 @@ use std::path::Path;
 use crate::image::Unread;
 use crate::photo_path::PhotoPath;
 
-pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes};
+pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes, write_unpacked};
 pub use assess::{FEW_VIEWS, view_names};
 pub use budget::DecodeBudget;
 pub use entries::NAMES;

@@ -6,6 +6,7 @@ mod access;
 mod allowance;
 mod artifacts;
 mod captures;
+mod change;
 mod client;
 mod connections;
 mod dashboard;
@@ -26,13 +27,13 @@ mod options;
 mod order;
 mod page;
 mod paths;
+mod photographs;
 mod pin;
 mod prioritize;
 mod priority;
 mod problem;
 mod quota;
 mod range;
-mod rename;
 mod render;
 mod retry;
 mod room;
@@ -89,7 +90,8 @@ pub fn router(app: Arc<App>) -> Router {
     let small = Router::new()
         .route("/v1/captures/sample", post(sample::create))
         .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
-        .route("/v1/captures/{id}/thumbnails/{*name}", get(captures::thumbnail))
+        .route("/v1/captures/{id}/thumbnails/{*name}", get(photographs::thumbnail))
+        .route("/v1/captures/{id}/photographs/{*name}", get(photographs::original))
         .merge(of_a_job())
         .merge(of_webhooks())
         .route("/v1/options", get(options::show))
@@ -142,7 +144,7 @@ pub fn router(app: Arc<App>) -> Router {
 /// Every route below a job.
 fn of_a_job() -> Router<Arc<App>> {
     Router::new()
-        .route("/v1/jobs/{id}", get(jobs::show).patch(rename::rename).delete(jobs::delete))
+        .route("/v1/jobs/{id}", get(jobs::show).patch(change::change).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(retry::retry))
         .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))

@@ -97,6 +97,17 @@ pub async fn fetch_thumbnails(app: &App, capture: &str) -> Result<()> {
     used_now(&folder).map_err(ServerError::io(&folder))
 }
 
+/// Fetches a capture, its photographs and all.
+///
+/// # Errors
+/// When the database, the blob store or the disk fails.
+pub async fn fetch_photographs(app: &App, capture: &str) -> Result<()> {
+    match app.blob_cache.blobs() {
+        Some(blobs) => fetch_capture(app, blobs, capture).await,
+        None => Ok(()),
+    }
+}
+
 async fn fetch_capture(app: &App, blobs: &Blobs, capture: &str) -> Result<()> {
     let copy = app.blob_cache.folder(capture);
     let mut copy = copy.lock().await;

@@ -30,6 +30,9 @@ pub struct CaptureReport {
 pub struct Assessment {
     /// Path as sent, below the folder of the photographs.
     pub name: String,
+    /// The name of its view in the results of jobs; of a photograph that is used, once stored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<String>,
     /// Whether the photograph is used.
     pub accepted: bool,
     /// Why it is not used.
@@ -197,6 +200,7 @@ fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
 fn assessment(of: capture::Assessment) -> Assessment {
     Assessment {
         name: of.name,
+        view: None,
         accepted: of.accepted,
         reason: of.reason,
         width: of.width,

@@ -31,7 +31,12 @@ both("the captures are a page, from which each can be opened by keyboard", async
     await seen(page.getByText("photographs used"), "8 of 9");
     await part(page, "Photographs").waitFor();
     await seen(part(page, "Photographs").locator("tbody tr").first(), "broken.jpg");
-    await seen(part(page, "Photographs").locator("tbody tr").nth(1), "240 × 160");
+    const used = part(page, "Photographs").locator("tbody tr").nth(1);
+    await seen(used, "240 × 160");
+    await seen(used.locator("td[data-label=Position]"), "placed");
+    const [original] = await Promise.all([page.waitForEvent("popup"), used.getByRole("link").click()]);
+    await until("it is the photograph", () => original.evaluate(() => document.images[0]?.naturalWidth === 240));
+    await original.close();
     await seen(part(page, "Jobs").locator("tbody tr"), "a finished <b>job</b>");
   }, width);
 });

@@ -110,6 +110,33 @@ both("a job that failed says why in a row of its own, one that is over how long 
     width,
   ));
 
+both("a job gets another name and tags, by which it is found", async (width) => {
+  const id = await stand.job("few_poses", `to be named ${width}`);
+  await server.reached(id, "failed");
+  const word = `tag ${width}`;
+  await stand.visit("tags", "", async (page) => {
+    await page.getByLabel(`Select to be named ${width}`).check();
+    await button(page, "Edit").click();
+    const dialog = page.getByRole("dialog");
+    await dialog.getByLabel("Name").fill(`named ${width}`);
+    await dialog.getByLabel("Tags").fill(`night,  ${word}, night`);
+    await picture(page, `page-tags-${width}`);
+    await button(dialog, "Save").click();
+    await dialog.waitFor({ state: "detached" });
+    await page.getByLabel("Search").fill(word.toUpperCase());
+    await shows(page, [`named ${width}`]);
+    assert.deepEqual(await page.locator("tbody .tag").allTextContents(), ["night", word]);
+    await page.getByRole("link", { name: `named ${width}` }).click();
+    await seen(page.locator(".state + .tags"), word);
+    await button(page, "Edit").click();
+    await dialog.getByLabel("Tags").fill("");
+    await page.keyboard.press("Enter");
+    await until("the tags are gone", async () => (await page.locator(".tag").count()) === 0);
+    assert.deepEqual((await server.job(id)).tags, []);
+    await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
+  }, width);
+});
+
 both("jobs are sorted by score, by time and by name, and the address keeps how", async (width) =>
   stand.visit(
     "sorted",

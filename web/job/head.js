@@ -3,9 +3,10 @@
 import { compareWith } from "../compare/choose.js";
 import { ask } from "../lib/dialog.js";
 import { api, h, when } from "../lib/dom.js";
+import { edit } from "../lib/edit.js";
 import { seesAll } from "../lib/login.js";
 import { priorityField } from "./priority.js";
-import { failure, isOver, progressLine, setBar, stateWord } from "../lib/state.js";
+import { failure, isOver, progressLine, setBar, stateWord, tagList } from "../lib/state.js";
 import { advice } from "../lib/words.js";
 
 const SECOND_MS = 1000;
@@ -32,6 +33,9 @@ export function jobHead(base, refresh, who) {
   const problem = h("p", { class: "problem", role: "alert" });
   const result = h("div");
   const again = h("a", { class: "button" }, "Run again with other options");
+  const tags = h("span", { class: "tags" });
+  const change = action("Edit", () => edit(job));
+  change.hidden = false;
   const compare = action("Compare with…", () => compareWith(job));
   compare.hidden = false;
   const buttons = {
@@ -42,8 +46,8 @@ export function jobHead(base, refresh, who) {
       ask(`Delete job “${job.name || "unnamed"}”?`, "This permanently deletes its scene, pictures and scores. The photographs are kept.", "Delete job"), "danger"),
   };
   const root = h("section", { hidden: true },
-    h("div", { class: "row" }, title, state, line, !isVisitor &&
-      h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
+    h("div", { class: "row" }, title, state, tags, line, !isVisitor &&
+      h("span", { class: "row push" }, buttons.cancel, buttons.retry, change, compare, again, buttons.remove)),
     isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem, result);
   /** @type {import("fled-api").Job | null} */
   let job = null;
@@ -113,6 +117,7 @@ export function jobHead(base, refresh, who) {
       const first = job === null;
       job = now;
       title.textContent = job.name || "unnamed";
+      tags.replaceChildren(...tagList(job));
       document.title = `${job.name || "Job"} · fled`;
       state.className = `state ${job.state}`;
       state.textContent = stateWord(job);

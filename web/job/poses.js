@@ -28,6 +28,12 @@ function map(base) {
   return figure;
 }
 
+/**
+ * What became of each view, by its name.
+ * @returns {Map<string, string>}
+ */
+export const positions = (report) => new Map(places(report).map(({ name, status }) => [name, WORDS[status] ?? status]));
+
 /** A row a photograph: what structure from motion said, and how it fits the last scene. */
 function places(report) {
   const verdicts = report.poses?.verdicts ?? [];

@@ -4,7 +4,7 @@ import { address, count, h, prose } from "./dom.js";
 import { told } from "./table.js";
 
 const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
-  { title: "Brightness", class: "word" }, { title: "Sharpness", class: "word" }, { title: "Status" }, { title: "Warnings" }];
+  { title: "Brightness", class: "word" }, { title: "Sharpness", class: "word" }, { title: "Position" }, { title: "Status" }, { title: "Warnings" }];
 
 /** @typedef {import("fled-api").Capture} Capture */
 
@@ -26,7 +26,7 @@ const [SHOWN, MOST] = [0.4, 12];
  * @param {Capture["images"][number]} image
  */
 function thumbnail(capture, { name, brightness }) {
-  if (brightness === undefined) return "";
+  if (brightness === undefined) return null;
   const image = h("img", { alt: "", loading: "lazy", src: `/v1/captures/${capture.id}/thumbnails/${address(name)}` });
   image.style.filter = `brightness(${Math.min(MOST, Math.max(1, SHOWN / Math.max(brightness, 1e-3))).toFixed(2)})`;
   image.addEventListener("error", () => image.remove());
@@ -42,20 +42,30 @@ export function strip(capture) {
     capture.images.filter((image) => image.accepted).map((image) => thumbnail(capture, image)));
 }
 
+/** A small picture of it that opens the photograph as it was uploaded. */
+function opening(capture, image) {
+  const picture = thumbnail(capture, image);
+  if (!picture) return "";
+  const href = `/v1/captures/${capture.id}/photographs/${address(image.name)}`;
+  return h("a", { href, target: "_blank", "aria-label": `Open ${image.name}` }, picture);
+}
+
 /**
  * Every photograph; brightness is a share of white, sharpness of the median's; those that are not used come first, with the reason.
  * @param {Capture} capture
+ * @param {Map<string, string>} positions what a job made of each view
  */
-export function photographs(capture) {
+export function photographs(capture, positions = new Map()) {
   const images = [...capture.images].sort((a, b) => Number(a.accepted) - Number(b.accepted));
   const share = (value) => (value === undefined ? "" : `${(100 * value).toFixed(0)} %`);
   return told(COLUMNS, images.map((image) => [
-    thumbnail(capture, image),
+    opening(capture, image),
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",
     image.focal_px ? image.focal_px.toFixed(0) : "",
     share(image.brightness),
     share(image.sharpness),
+    positions.get(image.view) ?? "",
     image.accepted ? "used" : h("span", { class: "bad" }, `not used: ${image.reason ?? "rejected"}`),
     image.warnings.map((warning) => warning.message).join("; "),
   ]));

@@ -109,3 +109,9 @@ export function failure({ code, detail, hint }) {
   const advice = hint && !detail.includes(hint.replace(/\.$/, "")) ? `\n${hint}` : "";
   return `${plain(code)}: ${detail}${advice}`;
 }
+
+/**
+ * The tags of a job.
+ * @param {import("fled-api").Job} job
+ */
+export const tagList = (job) => job.tags.map((tag) => h("span", { class: "tag" }, tag));

@@ -4,6 +4,7 @@ import { ask } from "../lib/dialog.js";
 import { api, count, h, nothing, section, send, show, when } from "../lib/dom.js";
 import { jobTable } from "./list.js";
 import { optionsForm } from "../upload/options.js";
+import { positions } from "../job/poses.js";
 import { captureWarnings, photographs, used } from "../lib/photographs.js";
 
 const REFRESH_MS = 3000;
@@ -18,6 +19,10 @@ export function capturePage(main, id, from) {
   const warnings = section("Warnings");
   const pictures = section("Photographs");
   let [gone, timer, of] = [false, 0, []];
+  /** The job that the photographs' positions are from. */
+  let placedBy = null;
+  /** @type {import("fled-api").Capture} */
+  let shown;
 
   async function open() {
     try {
@@ -34,6 +39,7 @@ export function capturePage(main, id, from) {
       h("p", { class: "hint" }, `Uploaded ${when(capture.created_at)}${capture.expires_at ? ` · will be deleted on ${when(capture.expires_at)}` : ""}`));
       head.hidden = false;
       show(warnings, captureWarnings(capture));
+      shown = capture;
       show(pictures, photographs(capture));
       if (from) await again.begin(from);
       await refresh();
@@ -52,10 +58,19 @@ export function capturePage(main, id, from) {
       if (gone) return;
       of = page.jobs;
       jobs.update(of);
+      showPositions(of.find((job) => job.state === "succeeded"));
       // Shown anew it would lose the focus.
       if (jobsPart.hidden === (of.length > 0)) show(jobsPart, of.length > 0 && jobs.root);
     } catch { /* The health line says so; the next round may succeed. */ }
     if (!gone) timer = setTimeout(refresh, REFRESH_MS);
+  }
+
+  /** Where the photographs of the newest finished job were taken from. */
+  async function showPositions(job) {
+    if (!job || job.id === placedBy) return;
+    placedBy = job.id;
+    const report = await api(`/v1/jobs/${job.id}/rounds`).catch(() => null);
+    if (report && !gone) show(pictures, photographs(shown, positions(report)));
   }
 
   async function removeIt(capture, button) {

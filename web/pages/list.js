@@ -3,7 +3,7 @@
 import { api, count, duration, h, refill, when } from "../lib/dom.js";
 import { asked, keep } from "../lib/place.js";
 import { selection } from "./selection.js";
-import { doing, isOver, pill, seconds, setBar, took } from "../lib/state.js";
+import { doing, isOver, pill, seconds, setBar, tagList, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { startForm } from "../upload/upload.js";
@@ -79,7 +79,7 @@ function cells(job, known) {
   const bar = h("progress", { max: 1, "aria-label": "Progress" });
   setBar(bar, job);
   return [
-    h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
+    h("span", {}, h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"), tagList(job)),
     pill(job),
     isOver(job) ? "" : bar,
     now(job, known),
@@ -142,7 +142,7 @@ function filters(changed) {
   const wanted = asked();
   const search = h("input", {
     type: "search",
-    placeholder: "Part of a name",
+    placeholder: "Part of a name or tag",
     value: wanted.get("q") ?? "",
     maxLength: 200,
   });
@@ -269,7 +269,7 @@ export function listPage(main) {
     const shown = had.jobs.filter(
       (job) =>
         (!preset || job.preset === preset) &&
-        (job.name || "unnamed").toLowerCase().includes(q.toLowerCase()),
+        [job.name || "unnamed", ...job.tags].some((word) => word.toLowerCase().includes(q.toLowerCase())),
     );
     if (sort in ORDERS) shown.sort(ORDERS[sort]);
     jobs.update(shown, had.jobs);

@@ -2,6 +2,7 @@
 
 import { ask } from "../lib/dialog.js";
 import { api, count, h } from "../lib/dom.js";
+import { edit } from "../lib/edit.js";
 import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
 
 const GONE = "This permanently deletes their scenes, pictures and scores. The photographs are kept.";
@@ -16,13 +17,14 @@ export function selection(refresh) {
   const chosen = new Map();
   const words = h("span", { role: "status" });
   const compare = h("a", { class: "button main" });
+  const change = h("button", { type: "button", onclick: editIt }, "Edit");
   const remove = h("button", { type: "button", class: "danger", onclick: removeAll });
   const none = h("button", { type: "button", onclick: clear }, "Clear selection");
   const problem = h("p", { class: "problem", role: "alert" });
   const root = h(
     "div",
     { class: "marked", hidden: true, role: "region", "aria-label": "Selected jobs" },
-    h("div", { class: "row" }, words, compare, remove, none),
+    h("div", { class: "row" }, words, compare, change, remove, none),
     problem,
   );
   let shown = [];
@@ -35,6 +37,7 @@ export function selection(refresh) {
     compare.hidden = jobs.length < 2 || jobs.length > MOST_COMPARED;
     compare.href = comparisonOf([...chosen.keys()]);
     compare.textContent = `Compare ${count(jobs.length, "job")}`;
+    change.hidden = jobs.length !== 1;
     remove.hidden = jobs.length === 0;
     none.hidden = jobs.length === 0;
     remove.textContent = `Delete ${count(jobs.length, "job")}`;
@@ -45,6 +48,11 @@ export function selection(refresh) {
     problem.textContent = "";
     for (const box of root.parentNode.querySelectorAll("input.mark")) box.checked = false;
     draw();
+  }
+
+  async function editIt() {
+    const [job] = chosen.values();
+    if (await edit(job)) await refresh();
   }
 
   async function removeAll() {

@@ -5,7 +5,7 @@
 //! becomes a path.
 
 use std::fs::{self, File};
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use zip::CompressionMethod;
@@ -88,6 +88,21 @@ pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
     let (_, wanted) = open(path)?;
     let unpacked = wanted.iter().filter(|item| !item.is_only_listed);
     Ok(unpacked.map(|item| item.size).sum())
+}
+
+/// Writes one file of a zip: that which was unpacked as `file`, wherever that was.
+///
+/// # Errors
+/// [`CaptureError::Archive`] for a zip that is not unpacked or has no such file, and faults of the
+/// file system, those of `out` among them.
+pub fn write_unpacked(path: &Path, file: &Path, out: &mut impl Write) -> Result<(), CaptureError> {
+    let (mut archive, wanted) = open(path)?;
+    let number = file.file_stem().and_then(|stem| stem.to_str()?.parse::<usize>().ok());
+    let item = number.and_then(|number| wanted.get(number)).filter(|item| !item.is_only_listed);
+    let item = item.ok_or_else(|| ArchiveFault::whole("has no such file"))?;
+    let mut source =
+        archive.by_index(item.index).map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
+    copy_one(&mut source, item, out, path)
 }
 
 /// Opens a zip and holds its directory against the rules.
@@ -301,9 +316,19 @@ fn own_file(
     Ok(own_folder.join(last.replace("points3d", "points3D")))
 }
 
-/// Unpacks one entry, no more than its directory promised.
+/// Unpacks one entry into a new file.
 fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), CaptureError> {
     let mut out = File::create_new(file).map_err(CaptureError::io(file))?;
+    copy_one(source, item, &mut out, file)
+}
+
+/// Copies one entry to `out`, no more than its directory promised; `place` stands in errors.
+fn copy_one(
+    source: &mut impl Read,
+    item: &Wanted,
+    out: &mut impl Write,
+    place: &Path,
+) -> Result<(), CaptureError> {
     let mut buffer = vec![0; 64 << 10];
     let mut written = 0;
     loop {
@@ -319,7 +344,7 @@ fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), 
                 ArchiveFault::of(&item.name, "longer than the archive's directory says").into()
             );
         }
-        io::Write::write_all(&mut out, &buffer[..read]).map_err(CaptureError::io(file))?;
+        out.write_all(&buffer[..read]).map_err(CaptureError::io(place))?;
     }
     if written != item.size {
         return Err(

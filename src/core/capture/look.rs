@@ -127,7 +127,7 @@ impl<'a> Eyes<'a> {
                 return Err(Fault { header: Some(header), ..Fault::from(error) });
             }
         };
-        (self.tell)(Look::Seen(entry.path.as_str(), &small));
+        (self.tell)(Look::Seen(entry.path.as_str(), &entry.file, &small));
         let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let v = small.pixels();
         let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;

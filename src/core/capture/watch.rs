@@ -1,5 +1,7 @@
 //! Who watches while photographs are looked at.
 
+use std::path::Path;
+
 use super::budget::DecodeBudget;
 use crate::image::{Image, Srgb};
 
@@ -8,8 +10,8 @@ use crate::image::{Image, Srgb};
 pub enum Look<'a> {
     /// Its header is read, or it is decoded.
     Begins(&'a str),
-    /// It was decoded: this is it, upright and small. Not told of ground truth.
-    Seen(&'a str, &'a Image<Srgb>),
+    /// It was decoded from this file: this is it, upright and small. Not told of ground truth.
+    Seen(&'a str, &'a Path, &'a Image<Srgb>),
     /// That is over, however it ended.
     Ended(&'a str),
 }

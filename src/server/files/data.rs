@@ -20,7 +20,8 @@ use crate::error::{Result, ServerError};
 /// it.
 pub const THUMBNAILS: &str = ".thumbnails";
 
-/// The file of the thumbnail of the photograph `name`, below the folder of its capture.
+/// The file of the thumbnail of the photograph `name`, below the folder of its capture. One with
+/// the extension `txt` beside it tells where the photograph itself lies, below that folder, too.
 pub fn thumbnail(name: &str) -> PathBuf {
     let digest = blake3::hash(name.as_bytes()).to_hex();
     Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))

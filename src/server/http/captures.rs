@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::extract::{DefaultBodyLimit, Extension, FromRequest, Path, Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
@@ -14,14 +14,11 @@ use super::extract::{Json, Query, is_json};
 use super::page::{id, page_size};
 use super::problem::Problem;
 use super::quota::bytes_left;
-use super::sent::Sent;
 use super::shapes::{Capture, Captures};
 use super::upload::{self, Upload};
 use super::uploaded::CaptureOfUploads;
 use crate::app::App;
-use crate::files::data;
 use crate::files::remove;
-use crate::sharing::fetch_thumbnails;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -156,30 +153,6 @@ pub async fn show(
 ) -> Result<axum::Json<Capture>, Problem> {
     let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
     Ok(axum::Json(Capture::from_row(row)))
-}
-
-/// Returns a small picture of a photograph, as it was taken: a JPEG.
-#[utoipa::path(get, path = "/v1/captures/{id}/thumbnails/{name}", operation_id = "show_thumbnail",
-    tag = "captures",
-    params(("id" = String, Path), ("name" = String, Path, description = "The photograph's name as assessed; may contain `/`")),
-    responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/jpeg"),
-        (status = 304, description = "Not modified"),
-        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
-pub async fn thumbnail(
-    State(app): State<Arc<App>>,
-    Path((id, name)): Path<(String, String)>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
-    fetch_thumbnails(&app, &row.id).await?;
-    let file = data::thumbnail(&name);
-    let etag = format!("\"{}\"", file.display());
-    let path = app.data.capture(&row.id).join(file);
-    let about = tokio::fs::metadata(&path).await;
-    // A capture of an older build has none.
-    let bytes = about.map_err(|_| Problem::not_found("thumbnail"))?.len();
-    Sent { path, bytes, etag, media_type: "image/jpeg" }.answer(&headers).await
 }
 
 /// Deletes a capture that no job uses.

@@ -115,22 +115,27 @@ pub async fn download(
     let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round));
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
     let prepared = prepared.map_err(|error| refused(&error))?;
-    let (sender, mut pieces) = mpsc::channel(WAITING);
-    tokio::task::spawn_blocking(move || {
-        make(&prepared, &sender, &id);
+    let body = body_of(move |pieces| {
+        make(&prepared, pieces, &id);
         drop(turn);
     });
     let headers = [
         (header::CONTENT_TYPE, media_type(export).to_owned()),
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", export.name())),
     ];
-    let body = Body::from_stream(poll_fn(move |context| pieces.poll_recv(context)));
     Ok((headers, body).into_response())
+}
+
+/// The body of an answer, made while it is sent.
+pub(super) fn body_of(make: impl FnOnce(&Pieces) + Send + 'static) -> Body {
+    let (sender, mut pieces) = mpsc::channel(WAITING);
+    tokio::task::spawn_blocking(move || make(&sender));
+    Body::from_stream(poll_fn(move |context| pieces.poll_recv(context)))
 }
 
 /// Writes the export into the answer. An error aborts the answer, so that it is not taken for
 /// complete.
-fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str) {
+fn make(prepared: &Prepared, pieces: &Pieces, job: &str) {
     let pipe = io::BufWriter::with_capacity(PIECE, Pipe(pieces));
     match prepared.write(pipe) {
         Ok(()) => {}
@@ -144,7 +149,11 @@ fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str
     }
 }
 
-struct Pipe<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
+/// Where the pieces of an answer go.
+pub(super) type Pieces = mpsc::Sender<io::Result<Bytes>>;
+
+/// Writes into an answer.
+pub(super) struct Pipe<'a>(pub &'a Pieces);
 
 impl Write for Pipe<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {

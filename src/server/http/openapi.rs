@@ -10,8 +10,9 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    prioritize, rename, render, retry, rounds, sample, share, tus, videos, webhooks, workers,
+    artifacts, captures, change, events, exports, health, jobs, live, log, login, metrics, options,
+    photographs, pin, prioritize, render, retry, rounds, sample, share, tus, videos, webhooks,
+    workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -26,7 +27,8 @@ use super::{
         sample::create,
         captures::list,
         captures::show,
-        captures::thumbnail,
+        photographs::thumbnail,
+        photographs::original,
         captures::delete,
         tus::options,
         tus::create,
@@ -37,7 +39,7 @@ use super::{
         jobs::create,
         jobs::list,
         jobs::show,
-        rename::rename,
+        change::change,
         jobs::cancel,
         retry::retry,
         jobs::delete,

@@ -1,6 +1,7 @@
 //! The JSON types of the public API.
 
 use fled_core::camera::Split;
+use fled_core::capture::view_names;
 use fled_core::metrics::Reference;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -52,12 +53,17 @@ impl Capture {
     }
 }
 
-/// The assessments of a stored capture.
+/// The assessments of a stored capture, with the names of their views.
 pub fn report(row: &CaptureRow) -> CaptureReport {
-    CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
+    let mut report = CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
         tracing::error!(%error, capture = row.id, "the capture's assessments are damaged");
         CaptureReport { accepted: row.accepted, ..CaptureReport::default() }
-    })
+    });
+    let accepted = || report.images.iter().filter(|image| image.accepted);
+    let views = view_names(accepted().map(|image| image.name.as_str()));
+    let used = { report.images.iter_mut() }.filter(|image| image.accepted);
+    used.zip(views).for_each(|(image, view)| image.view = Some(view));
+    report
 }
 
 /// A job.
@@ -67,6 +73,8 @@ pub struct Job {
     pub id: String,
     /// Name given by the user.
     pub name: String,
+    /// Tags given by the user.
+    pub tags: Vec<String>,
     /// ID of its capture.
     pub capture_id: String,
     /// State.
@@ -203,6 +211,7 @@ impl Job {
             waits_for: waits_for(&row),
             id: row.id,
             name: row.name,
+            tags: row.tags,
             capture_id: row.capture_id,
             state: row.state,
             stage: row.stage,

@@ -51,6 +51,8 @@ pub struct JobRow {
     pub id: String,
     /// The user's name for it.
     pub name: String,
+    /// The user's words for it.
+    pub tags: Vec<String>,
     /// Its capture.
     pub capture_id: String,
     /// Name of the preset.
@@ -264,13 +266,20 @@ impl Store {
         Ok(next)
     }
 
-    /// Renames a job. `Ok(false)` if it does not exist.
+    /// Changes what is given of a job. `Ok(false)` if it does not exist.
     ///
     /// # Errors
     /// When a database operation fails.
-    pub async fn rename_job(&self, id: &str, name: &str) -> Result<bool> {
-        let rename = "UPDATE jobs SET name = $1 WHERE id = $2 AND video_of IS NULL";
-        let done = sqlx::query(rename).bind(name).bind(id);
+    pub async fn change_job(
+        &self,
+        id: &str,
+        name: Option<&str>,
+        tags: Option<&[String]>,
+    ) -> Result<bool> {
+        let change = "UPDATE jobs SET name = coalesce($1, name), tags = coalesce($2, tags)
+             WHERE id = $3 AND video_of IS NULL";
+        let tags = tags.map(|tags| json!(tags).to_string());
+        let done = sqlx::query(change).bind(name).bind(tags).bind(id);
         Ok(done.execute(&self.pool).await?.rows_affected() == 1)
     }
 
@@ -375,6 +384,7 @@ fn place(name: &str) -> Option<usize> {
 
 pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
     let options: String = row.try_get("options")?;
+    let tags: String = row.try_get("tags")?;
     let state: String = row.try_get("state")?;
     let code: Option<String> = row.try_get("error_code")?;
     let error = match code {
@@ -388,6 +398,10 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
     Ok(JobRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,
+        tags: serde_json::from_str(&tags).map_err(|error| ServerError::Damaged {
+            what: "job tags",
+            detail: error.to_string(),
+        })?,
         capture_id: row.try_get("capture_id")?,
         preset: row.try_get("preset")?,
         options: serde_json::from_str(&options).map_err(|error| ServerError::Damaged {

@@ -42,8 +42,8 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             let reply = match look {
                 Look::Begins(name) => AssessReply::Begins(name.to_owned()),
                 Look::Ended(name) => AssessReply::Ended(name.to_owned()),
-                Look::Seen(name, small) => {
-                    if let Err(error) = keep_small(&request.dir, name, small) {
+                Look::Seen(name, file, small) => {
+                    if let Err(error) = keep_small(&request.dir, name, file, small) {
                         eprintln!("{name} has no thumbnail: {error}");
                     }
                     return;
@@ -72,12 +72,15 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
     say(&last)
 }
 
-/// Writes a photograph's thumbnail.
-fn keep_small(dir: &Path, name: &str, small: &Image<Srgb>) -> Result<(), ImageError> {
+/// Writes a photograph's thumbnail, and where the photograph lies.
+fn keep_small(dir: &Path, name: &str, file: &Path, small: &Image<Srgb>) -> Result<(), ImageError> {
     let path = dir.join(thumbnail(name));
     let folder = path.parent().unwrap_or(dir);
     let failed = |source| ImageError::Io { path: folder.to_owned(), source };
     std::fs::create_dir_all(folder).map_err(failed)?;
+    let place = file.strip_prefix(dir).unwrap_or(file);
+    std::fs::write(path.with_extension("txt"), place.as_os_str().as_encoded_bytes())
+        .map_err(failed)?;
     let scale = THUMBNAIL_SIDE as f64 / small.width().max(small.height()) as f64;
     let side = |length: usize| ((length as f64 * scale.min(1.0)).round() as usize).max(1);
     small.resize_area(side(small.width()), side(small.height())).save(&path)

@@ -32,7 +32,7 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
         tell: &|look| {
             let (name, step) = match look {
                 Look::Begins(name) => (name.to_owned(), 1),
-                Look::Seen(name, small) => {
+                Look::Seen(name, _, small) => {
                     shown.lock().expect("shown").push((name.to_owned(), small.width()));
                     return;
                 }

@@ -96,6 +96,7 @@ pub(super) fn name_of(video: &Path) -> String {
 fn unused(video: &Path) -> Assessment {
     Assessment {
         name: name_of(video),
+        view: None,
         accepted: false,
         reason: Some(
             "a video is used only on its own, and photographs were sent with it".to_owned(),

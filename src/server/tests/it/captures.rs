@@ -100,10 +100,12 @@ fn a_photograph_is_known_by_the_path_that_it_was_sent_under() {
 }
 
 #[test]
-fn every_photograph_that_was_decoded_has_a_thumbnail() {
+fn every_photograph_that_was_decoded_is_shown_small_and_whole() {
     let server = Server::start();
     let zipped =
         zip(&[("a.png", photograph(1)), ("b.png", photograph(2)), ("c.png", photograph(3))]);
+    let sent: Vec<_> = (0..4).map(photograph).collect();
+    let original = |thumbnail: &str| thumbnail.replace("/thumbnails/", "/photographs/");
     let named: Vec<_> = { ["cam0/0.png", "cam1/0.png", "cam1/größe %.png"].iter().enumerate() }
         .map(|(i, name)| file(name, &photograph(i)))
         .collect();
@@ -113,19 +115,24 @@ fn every_photograph_that_was_decoded_has_a_thumbnail() {
         for image in capture["images"].as_array().expect("assessments") {
             let name = image["name"].as_str().expect("a name");
             let name = name.replace('%', "%25").replace(' ', "%20").replace('ö', "%C3%B6");
-            let picture = server.get(&format!("{base}/{}", name.replace('ß', "%C3%9F")), &[]);
-            let picture = picture.expect(200);
+            let picture_at = format!("{base}/{}", name.replace('ß', "%C3%9F"));
+            let picture = server.get(&picture_at, &[]).expect(200);
             assert_eq!(picture.header("content-type"), "image/jpeg");
             let path = server.data.path().join("thumbnail.jpg");
             std::fs::write(&path, &picture.body).expect("written");
             let small = Image::load(&path).expect("a picture");
             assert!(small.width().max(small.height()) <= 240);
+            let whole = server.get(&original(&picture_at), &[]).expect(200);
+            assert_eq!(whole.header("content-type"), "image/png");
+            assert!(sent.contains(&whole.body), "as it was sent");
             let [brightness, sharpness] =
                 ["brightness", "sharpness"].map(|key| image[key].as_f64().expect("told"));
             assert!((0.0..=1.0).contains(&brightness) && sharpness > 0.0, "{image}");
         }
         for other in ["d.png", "..%2F..%2F..%2Ffled.db", "%2Fetc%2Fpasswd"] {
-            server.get(&format!("{base}/{other}"), &[]).expect(404);
+            let at = format!("{base}/{other}");
+            server.get(&at, &[]).expect(404);
+            server.get(&original(&at), &[]).expect(404);
         }
     }
     let nowhere = "/v1/captures/0190a1de-0000-7000-8000-000000000000/thumbnails/a.png";

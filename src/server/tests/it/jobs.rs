@@ -43,7 +43,7 @@ fn a_job_goes_from_upload_to_results() {
 }
 
 #[test]
-fn a_job_can_be_renamed_and_tells_its_score() {
+fn a_job_can_be_renamed_and_tagged_and_tells_its_score() {
     let server = Server::start();
     let mut parts = photographs(4);
     let truth = |(_, name, content): Part| ("gt".to_owned(), name, content);
@@ -57,7 +57,9 @@ fn a_job_can_be_renamed_and_tells_its_score() {
         server.ask("PATCH", path, &json, body.to_string().as_bytes())
     };
     let named = ask(&path, &json!({ "name": "Küche" })).expect(200).json();
-    assert_eq!(named["name"], "Küche");
+    assert_eq!((&named["name"], &named["tags"]), (&json!("Küche"), &json!([])));
+    let tagged = ask(&path, &json!({ "tags": [" hall ", "Nacht", "hall"] })).expect(200).json();
+    assert_eq!((&tagged["name"], &tagged["tags"]), (&json!("Küche"), &json!(["hall", "Nacht"])));
     let ended = server.wait_state(job, "succeeded");
     assert_eq!(ended["name"], "Küche");
     let score =
@@ -66,12 +68,19 @@ fn a_job_can_be_renamed_and_tells_its_score() {
     ask(&path, &json!({ "name": "b" })).expect(200);
     let page = server.get("/v1/jobs", &[]).expect(200).json();
     assert_eq!(page["jobs"][0]["name"], "b");
+    assert_eq!(page["jobs"][0]["tags"], json!(["hall", "Nacht"]));
     assert_eq!(page["jobs"][0]["score"], score);
     for wrong in ["", "a\n", &"x".repeat(201)] {
         let refused = ask(&path, &json!({ "name": wrong })).expect(422).json();
         assert_eq!(refused["pointer"], "/name", "{refused:#}");
     }
-    ask(&path, &json!({})).expect(422);
+    let many: Vec<String> = (0..21).map(|i| i.to_string()).collect();
+    for wrong in [json!([" "]), json!(["a\n"]), json!(["x".repeat(51)]), json!(many)] {
+        let refused = ask(&path, &json!({ "name": "c", "tags": wrong })).expect(422).json();
+        let pointer = refused["pointer"].as_str().expect("pointer");
+        assert!(pointer.starts_with("/tags"), "{refused:#}");
+    }
+    assert_eq!(ask(&path, &json!({})).expect(200).json()["name"], "b", "nothing changes");
     ask(&path, &json!({ "name": "c", "state": "failed" })).expect(422);
     ask("/v1/jobs/none", &json!({ "name": "c" })).expect(404);
 }
