@@ -29,6 +29,8 @@ const WARM_MEANS: f64 = 0.3;
 const DENSIFY: (f64, f64) = (0.05, 0.8);
 /// Share of the round after which the shake is estimated.
 const SHAKE_FROM: f64 = 0.3;
+/// Estimates of the shake in a whole round.
+const SHAKE_ESTIMATES: u32 = 20;
 /// Corrections of the cameras per round, less those before [`POSES_FROM`].
 const POSE_CORRECTIONS: u32 = 5;
 /// Share of the round after which cameras are corrected; the second is that of a warm round.
@@ -125,10 +127,10 @@ impl Schedule {
 
     /// Whether the shake of the views is estimated before `step`: never on the coarse images of a
     /// cold round, whose pixels are as large as the shake, and from the first step on in a warm
-    /// round.
+    /// round. A long round does so no more often than a short one: on a GPU it would wait.
     pub fn estimates_shake(&self, step: u32) -> bool {
-        step.is_multiple_of(self.densify_interval())
-            && (self.warm || self.share(step) >= SHAKE_FROM)
+        let interval = (self.steps / SHAKE_ESTIMATES).max(10);
+        step.is_multiple_of(interval) && (self.warm || self.share(step) >= SHAKE_FROM)
     }
 
     /// Whether the cameras are corrected before `step`: only once the scene has edges to judge them
@@ -251,12 +253,14 @@ mod tests {
     #[test]
     fn shake_is_estimated_at_full_resolution() {
         let steps = |plan: Schedule| {
-            (0..1_000).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>()
+            (0..plan.steps).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>()
         };
         assert_eq!((steps(PLAN)[0], steps(PLAN).len()), (300, 14));
         let warm = steps(Schedule { warm: true, ..PLAN });
         assert_eq!((warm[0], warm.len()), (0, 20));
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
+        let long = Schedule { warm: true, steps: 10_000, ..PLAN };
+        assert_eq!(steps(long).len(), 20, "its steps are more, its estimates are not");
     }
 
     #[test]
