@@ -127,18 +127,19 @@ impl Correlation {
         // A correlation with itself is symmetric: half of it suffices.
         let alike = std::ptr::eq(a, b);
         let needed = if alike { square * square / 2 + 1 } else { square * square };
-        for (at, value) in values.iter_mut().enumerate().take(needed) {
-            // u = at - reach, so p - u = p + reach - at.
-            let (ux, uy) = (at % square, at / square);
-            for (one, other) in a.planes.iter().zip(&b.planes) {
-                for y in (reach..bottom).step_by(stride) {
-                    let row = &one[y * a.width + left..y * a.width + right];
+        // All offsets of a row come before the next row: few rows at a time stay in the cache.
+        for (one, other) in a.planes.iter().zip(&b.planes) {
+            for y in (reach..bottom).step_by(stride) {
+                let row = &one[y * a.width + left..y * a.width + right];
+                for (at, value) in values.iter_mut().enumerate().take(needed) {
+                    // u = at - reach, so p - u = p + reach - at.
+                    let (ux, uy) = (at % square, at / square);
                     let from = (y + reach - uy) * a.width + left + reach - ux;
                     *value += f64::from(dot(row, &other[from..from + row.len()]));
                 }
             }
-            *value /= pixels as f64;
         }
+        values.iter_mut().take(needed).for_each(|value| *value /= pixels as f64);
         for at in needed..square * square {
             values[at] = values[square * square - 1 - at];
         }
@@ -157,19 +158,36 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     let (b8, b_rest) = b.as_chunks::<8>();
     let mut sums = [0.0_f32; 8];
     for (a, b) in a8.iter().zip(b8) {
-        for lane in 0..8 {
-            sums[lane] += a[lane] * b[lane];
-        }
+        add_products(&mut sums, a, b);
     }
     sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
+}
+
+fn add_products(sums: &mut [f32; 8], a: &[f32; 8], b: &[f32; 8]) {
+    for lane in 0..8 {
+        sums[lane] += a[lane] * b[lane];
+    }
 }
 
 /// `argmin over x >= 0 of x'Ax / 2 - b'x` by accelerated projected gradients (Beck and Teboulle
 /// 2009).
 fn non_negative_least_squares(matrix: &[f32], right: &[f32]) -> Vec<f32> {
     let count = right.len();
-    let product =
-        |x: &[f32]| -> Vec<f32> { matrix.chunks_exact(count).map(|row| dot(row, x)).collect() };
+    // Most of a kernel is zero soon, and eights of zeros are passed over: they add nothing.
+    let product = |x: &[f32]| -> Vec<f32> {
+        let (eights, rest) = x.as_chunks::<8>();
+        let places: Vec<usize> =
+            (0..eights.len()).filter(|&at| eights[at].iter().any(|&v| v != 0.0)).collect();
+        let of_row = |row: &[f32]| {
+            let (row_eights, row_rest) = row.as_chunks::<8>();
+            let mut sums = [0.0_f32; 8];
+            for &at in &places {
+                add_products(&mut sums, &row_eights[at], &eights[at]);
+            }
+            sums.iter().sum::<f32>() + row_rest.iter().zip(rest).map(|(a, b)| a * b).sum::<f32>()
+        };
+        matrix.chunks_exact(count).map(of_row).collect()
+    };
     let step = 1.0 / largest_eigenvalue(&product, count);
     let mut x = vec![0.0_f32; count];
     let mut ahead = x.clone();
