@@ -1,18 +1,27 @@
-// Asks before something is lost.
+// Questions above the page: before something is lost, among others.
 
 import { h } from "./dom.js";
 
-/** Shows a question; whether the answer is `yes`. Escape and another page are no. */
+/** Shows a question; whether the answer is `yes`. */
 export function ask(question, detail, yes, no = "Cancel") {
   const dialog = h("dialog", { "aria-label": question });
   const answer = (word) => () => dialog.close(word);
-  const away = answer("no");
   dialog.append(
     h("h2", {}, question), detail ? h("p", {}, detail) : "",
     h("div", { class: "row" },
       // The harmless answer comes first and has the focus.
       h("button", { type: "button", autofocus: true, onclick: answer("no") }, no),
       h("button", { type: "button", class: "danger", onclick: answer("yes") }, yes)));
+  return answered(dialog);
+}
+
+/**
+ * Shows a dialog; whether it is closed with `yes`. Escape and another page are no.
+ * @param {HTMLDialogElement} dialog
+ * @returns {Promise<boolean>}
+ */
+export function answered(dialog) {
+  const away = () => dialog.close("no");
   addEventListener("hashchange", away);
   document.body.append(dialog);
   dialog.showModal();

@@ -1,5 +1,6 @@
 // What the user calls a job: its name and tags.
 
+import { answered } from "./dialog.js";
 import { api, h } from "./dom.js";
 
 /**
@@ -14,12 +15,8 @@ export function edit(job) {
   const save = h("button", { type: "submit", class: "main" }, "Save");
   const form = h("form", { onsubmit: submit },
     h("label", {}, "Name", name), h("label", {}, "Tags, separated by commas", tags), problem,
-    h("div", { class: "row" }, h("button", { type: "button", onclick: away }, "Cancel"), save));
+    h("div", { class: "row" }, h("button", { type: "button", onclick: () => dialog.close("no") }, "Cancel"), save));
   const dialog = h("dialog", { "aria-label": "Name and tags" }, h("h2", {}, "Name and tags"), form);
-
-  function away() {
-    dialog.close("no");
-  }
 
   async function submit(event) {
     event.preventDefault();
@@ -36,14 +33,5 @@ export function edit(job) {
     save.disabled = false;
   }
 
-  addEventListener("hashchange", away);
-  document.body.append(dialog);
-  dialog.showModal();
-  return new Promise((resolve) => {
-    dialog.addEventListener("close", () => {
-      removeEventListener("hashchange", away);
-      dialog.remove();
-      resolve(dialog.returnValue === "yes");
-    });
-  });
+  return answered(dialog);
 }
