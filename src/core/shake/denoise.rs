@@ -15,7 +15,7 @@ const LEVELS: usize = 16;
 const LEAST: usize = 2_000;
 /// Standard deviation of noise that stays as it is. A scene averages it over its views, and faint
 /// detail would go with it: of more noise, the share that stays falls with the variance.
-const HARMLESS: f32 = 0.025;
+const HARMLESS: f32 = 0.035;
 /// Least noise: images that do not differ divide by it.
 const LEAST_NOISE: f32 = 1e-4;
 /// Half of a window's side, px. A window has 147 values of three channels, in which the variance of
