@@ -49,13 +49,13 @@ pub async fn change(
             return Err(empty.pointer("/name"));
         }
     }
-    let tags = body.tags.map(distinct).transpose()?;
+    let tags = body.tags.as_deref().map(distinct).transpose()?;
     app.store.change_job(&id, body.name.as_deref(), tags.as_deref()).await?;
     Ok(axum::Json(told(&app, &id).await?))
 }
 
 /// The tags in their order, without blanks around them, each once.
-fn distinct(tags: Vec<String>) -> Result<Vec<String>, Problem> {
+fn distinct(tags: &[String]) -> Result<Vec<String>, Problem> {
     let mut kept: Vec<String> = Vec::new();
     for tag in tags.iter().map(|tag| tag.trim()) {
         if tag.is_empty() || tag.chars().count() > LONGEST_TAG {
