@@ -39,8 +39,10 @@ test: test-openapi test-types setup onnxruntime matcher test-python ## every tes
 	@$(MAKE) --no-print-directory test-api FLED=$${CARGO_TARGET_DIR:-target}/release/fled
 
 # What waits long or needs a machine for itself: random kills, outages, throughput, a film of the page.
-test-nightly: setup onnxruntime matcher build test-widths ## the tests that CI leaves out
+test-nightly: setup onnxruntime matcher ## the tests that CI leaves out
 	@tools/setup.sh postgresql faketime $(if $(CHROMIUM),,chromium)
+	$(CARGO) test --release --locked --workspace --no-run
+	@$(MAKE) --no-print-directory test-widths
 	$(CARGO) test --release --locked --workspace --test it -- --ignored --test-threads 1
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(CARGO_TARGET_DIR),target)/release/fled) node --test walk.nightly.js
@@ -63,7 +65,7 @@ test-api: test-openapi ## a server with played jobs, held to openapi.yaml by req
 
 # Mesa's software driver takes its subgroups to be as wide as this, whatever the processor has.
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
-	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
+	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet --workspace --lib -- \
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
