@@ -29,7 +29,7 @@ function map(base) {
 }
 
 /**
- * What became of each view, by its name.
+ * The position of each view in words, by its name.
  * @returns {Map<string, string>}
  */
 export const positions = (report) => new Map(places(report).map(({ name, status }) => [name, WORDS[status] ?? status]));

@@ -1,4 +1,4 @@
-// What the user calls a job: its name and tags.
+// A dialog for the name and tags of a job.
 
 import { answered } from "./dialog.js";
 import { api, h } from "./dom.js";

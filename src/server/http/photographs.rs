@@ -96,7 +96,7 @@ pub async fn original(
     Ok((headers, body).into_response())
 }
 
-/// What browsers show; the rest they download.
+/// The media type of a picture that browsers show; they download the rest.
 fn media_type(file: &FilePath) -> &'static str {
     let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
     match extension.to_str() {
