@@ -193,8 +193,9 @@ both("a chart's values are read by keyboard and by pointer", async (width) => {
       await seen(legend, /Round 1:.*19\.50/);
       await plot.press("End");
       await seen(legend, /Round 3:.*– .*21\.50|Round 3:.*–.*21\.50/);
-      const box = await plot.boundingBox();
-      await page.mouse.move(box.x + box.width * 0.15, box.y + box.height / 2);
+      // Pictures above that are still loading move the chart; hovering waits until it rests.
+      const { width: wide, height } = await plot.boundingBox();
+      await plot.hover({ position: { x: wide * 0.15, y: height / 2 } });
       await seen(legend, "Round 1:");
       const styles = await plot
         .locator("path.line")

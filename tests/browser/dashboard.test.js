@@ -9,7 +9,7 @@ import { after, before, test } from "node:test";
 
 import { Browser, PHONE, loaded, overflowing, withoutWebGl } from "./browser.js";
 import { Server } from "./server.js";
-import { until } from "./until.js";
+import { PATIENCE, until } from "./until.js";
 
 // Markup, to a page that takes a name for more than text.
 const FINISHED = "a finished <b>job</b>";
@@ -96,6 +96,8 @@ test("who has no photographs tries a sample, by the preset and the options of th
     assert.equal(await paper.isDisabled(), true);
     await form.getByLabel("Preset").selectOption("preview");
     await button(page, "Try a sample").click();
+    // The server draws for some seconds of both cores.
+    await page.waitForURL(/#\/jobs\//, { timeout: 4 * PATIENCE });
     await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");
     const job = await server.job(page.url().split("/").pop());
     assert.deepEqual([job.preset, job.state === "failed"], ["preview", false]);
