@@ -71,14 +71,11 @@ fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
 /// a close camera resolves; `scale` multiplies them all.
 pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32, scale: f64) -> [f64; 3] {
     let layers = [1.9, 0.8, 0.34, 0.145];
-    let mut colour = base;
-    for (index, size) in layers.map(|size| size * scale).into_iter().enumerate() {
+    let seen = layers.iter().enumerate().rev().find_map(|(index, size)| {
         let turned = DVec2::from_angle(0.5 * index as f64 + f64::from(salt)).rotate(p);
-        if let Some(shape) = shapes(turned, size, salt.wrapping_add(17 * index as u32)) {
-            colour = shape;
-        }
-    }
-    colour
+        shapes(turned, size * scale, salt.wrapping_add(17 * index as u32))
+    });
+    seen.unwrap_or(base)
 }
 
 /// Albedo, linear light, at `p` in world units of a surface tiled with one of `photographs`
