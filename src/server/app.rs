@@ -50,7 +50,7 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
-    /// Turns at making exports.
+    /// Turns at making files while they are sent.
     pub exporting: Arc<Semaphore>,
     /// Counters for `/metrics`.
     pub telemetry: Telemetry,

@@ -170,7 +170,7 @@ pub struct Limits {
     pub render: Duration,
     /// Renders kept for a job.
     pub kept_renders: usize,
-    /// Maximum exports at a time; more are refused.
+    /// Maximum exports and photographs from a ZIP at a time; more are refused.
     pub exports: usize,
     /// Maximum videos of a job.
     pub videos_of_job: usize,

@@ -136,6 +136,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         assessing_bytes: number("FLED_FAKE_ASSESSING", 4 << 30)?,
         photograph: Duration::from_millis(number("FLED_FAKE_PHOTOGRAPH_MS", 60_000)?),
         deaths_without_progress: number("FLED_FAKE_DEATHS", 5)? as u32,
+        exports: number("FLED_FAKE_EXPORTS", 4)? as usize,
         ..Limits::default()
     })
 }

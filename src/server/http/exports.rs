@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use fled_core::export::{Export, ExportError, Prepared};
 use futures::stream::poll_fn;
 use serde::{Deserialize, Serialize};
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
@@ -26,7 +26,7 @@ const PIECE: usize = 1 << 16;
 /// Chunks buffered for a slow client.
 const WAITING: usize = 4;
 
-/// Seconds after which one of the running exports may have ended.
+/// Seconds after which one of the turns may have ended.
 const RETRY: u32 = 10;
 
 /// Of what.
@@ -98,7 +98,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too many exports are being made", body = Problem, content_type = "application/problem+json")))]
+        (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,
@@ -109,8 +109,7 @@ pub async fn download(
         .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
     let round = finished(&app, &id, query.round).await?;
     // Compression holds a whole scene in memory.
-    let turn = app.exporting.clone().try_acquire_owned();
-    let turn = turn.map_err(|_| busy())?;
+    let turn = turn(&app)?;
     let output = app.data.output(&id);
     let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round));
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
@@ -124,6 +123,11 @@ pub async fn download(
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", export.name())),
     ];
     Ok((headers, body).into_response())
+}
+
+/// A turn at making a file while it is sent: that takes a thread as long as the client reads.
+pub(super) fn turn(app: &App) -> Result<OwnedSemaphorePermit, Problem> {
+    app.exporting.clone().try_acquire_owned().map_err(|_| busy())
 }
 
 /// The body of an answer, made while it is sent.
@@ -177,7 +181,7 @@ fn media_type(export: Export) -> &'static str {
 }
 
 fn busy() -> Problem {
-    let detail = "Too many exports are being made.";
+    let detail = "Too many files are being made.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
         .hint("Try again in a moment.")
         .retry_after(RETRY)

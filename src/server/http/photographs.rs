@@ -9,7 +9,7 @@ use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::capture::write_unpacked;
 
-use super::exports::{Pipe, body_of};
+use super::exports::{Pipe, body_of, turn};
 use super::problem::Problem;
 use super::sent::Sent;
 use crate::app::App;
@@ -51,7 +51,8 @@ pub async fn thumbnail(
     responses(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 304, description = "Not modified"),
-        (status = 404, description = "Not found, or never decoded", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found, or never decoded", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn original(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,
@@ -76,7 +77,9 @@ pub async fn original(
         let etag = format!("\"{}\"", thumbnail.with_extension("").display());
         return Sent { path, bytes, etag, media_type }.answer(&headers).await;
     }
+    let turn = turn(&app)?;
     let body = body_of(move |pieces| {
+        let _turn = turn;
         let mut pipe = io::BufWriter::new(Pipe(pieces));
         let written = write_unpacked(&stored, &place, &mut pipe).map_err(io::Error::other);
         let written = written.and_then(|()| io::Write::flush(&mut pipe));

@@ -140,6 +140,22 @@ fn every_photograph_that_was_decoded_is_shown_small_and_whole() {
 }
 
 #[test]
+fn photographs_of_a_zip_take_turns_with_exports() {
+    let server = Server::start_with(&[("FLED_FAKE_EXPORTS", "0")]);
+    let made = || ["a.png", "b.png", "c.png"].iter().zip((0..3).map(photograph));
+    let zipped = zip(&made().map(|(name, bytes)| (*name, bytes)).collect::<Vec<_>>());
+    let loose: Vec<_> = made().map(|(name, bytes)| file(name, &bytes)).collect();
+    let original = |parts: &[_]| {
+        let capture = server.upload("/v1/captures", parts, &[]).expect(201).json();
+        format!("/v1/captures/{}/photographs/a.png", capture["id"].as_str().expect("id"))
+    };
+    let busy = server.get(&original(&[file("walk.zip", &zipped)]), &[]).expect(503);
+    assert_eq!(busy.json()["code"], "busy");
+    assert!(!busy.header("retry-after").is_empty());
+    server.get(&original(&loose), &[]).expect(200);
+}
+
+#[test]
 fn a_sample_is_a_capture_like_any_other() {
     let server = Server::start();
     let reply = server.post("/v1/captures/sample", &[], &[]).expect(201);
