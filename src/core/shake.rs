@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
 pub use denoise::denoised;
-pub use estimate::{estimate, reach};
+pub use estimate::estimate;
 use kernels::ShakeUniform;
 pub use response::Response;
 pub use saved::{parse, save};
@@ -125,6 +125,21 @@ impl ShakeKernel {
             for [dx, dy] in [[0, 0], [0, 1], [1, 0], [1, 1]] {
                 let offset = [tap.offset[0] + dx, tap.offset[1] + dy].map(|o| o.div_euclid(2));
                 *taps.entry(offset).or_default() += 0.25 * tap.weight;
+            }
+        }
+        let taps = taps.into_iter();
+        Self::new(taps.map(|(offset, weight)| Tap { offset, weight }).collect())
+    }
+
+    /// The kernel of the image at twice the size: each tap becomes a tent of nine.
+    #[must_use]
+    fn doubled(&self) -> Self {
+        let mut taps: BTreeMap<[i32; 2], f32> = BTreeMap::new();
+        let share = |away: i32| if away == 0 { 0.5 } else { 0.25 };
+        for tap in &self.taps {
+            for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
+                let offset = [2 * tap.offset[0] + dx, 2 * tap.offset[1] + dy];
+                *taps.entry(offset).or_default() += share(dx) * share(dy) * tap.weight;
             }
         }
         let taps = taps.into_iter();

@@ -27,10 +27,11 @@ const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 const WARM_MEANS: f64 = 0.3;
 /// Densification runs between these shares of the round.
 const DENSIFY: (f64, f64) = (0.05, 0.8);
-/// Share of the round after which the shake is estimated.
+/// Share of the round after which the shake is estimated; a warm round does so from its start.
 const SHAKE_FROM: f64 = 0.3;
-/// Estimates of the shake in a whole round.
-const SHAKE_ESTIMATES: u32 = 20;
+/// Shares of the rest of the round at which it is estimated: dense while the scene changes fast.
+/// 20 estimates are no better than these, and a GPU waits for each of them.
+const SHAKE_ESTIMATES: [f64; 8] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8];
 /// Corrections of the cameras per round, less those before [`POSES_FROM`].
 const POSE_CORRECTIONS: u32 = 5;
 /// Share of the round after which cameras are corrected; the second is that of a warm round.
@@ -126,11 +127,13 @@ impl Schedule {
     }
 
     /// Whether the shake of the views is estimated before `step`: never on the coarse images of a
-    /// cold round, whose pixels are as large as the shake, and from the first step on in a warm
-    /// round. A long round does so no more often than a short one: on a GPU it would wait.
+    /// cold round, whose pixels are as large as the shake.
     pub fn estimates_shake(&self, step: u32) -> bool {
-        let interval = (self.steps / SHAKE_ESTIMATES).max(10);
-        step.is_multiple_of(interval) && (self.warm || self.share(step) >= SHAKE_FROM)
+        let from = if self.warm { 0.0 } else { SHAKE_FROM };
+        SHAKE_ESTIMATES.iter().any(|share| {
+            let moment = (from + share * (1.0 - from)) * f64::from(self.steps);
+            moment.round() as u32 == step
+        })
     }
 
     /// Whether the cameras are corrected before `step`: only once the scene has edges to judge them
@@ -255,12 +258,12 @@ mod tests {
         let steps = |plan: Schedule| {
             (0..plan.steps).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>()
         };
-        assert_eq!((steps(PLAN)[0], steps(PLAN).len()), (300, 14));
-        let warm = steps(Schedule { warm: true, ..PLAN });
-        assert_eq!((warm[0], warm.len()), (0, 20));
+        assert_eq!(steps(PLAN), [300, 335, 370, 440, 510, 615, 720, 860]);
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
-        let long = Schedule { warm: true, steps: 10_000, ..PLAN };
-        assert_eq!(steps(long).len(), 20, "its steps are more, its estimates are not");
+        let warm = |steps| Schedule { warm: true, steps, ..PLAN };
+        assert_eq!(steps(warm(1_000)), [0, 50, 100, 200, 300, 450, 600, 800]);
+        assert_eq!(steps(warm(10_000)).len(), 8, "its steps are more, its estimates are not");
+        assert_eq!(steps(warm(10)), [0, 1, 2, 3, 5, 6, 8]);
     }
 
     #[test]

@@ -10,8 +10,11 @@ use super::{Response, ShakeKernel, Tap};
 /// Half of the kernel's side, as a share of the image's longer side: 11 px at 560. COLMAP does not
 /// match photographs with more shake either.
 const REACH_SHARE: f64 = 0.02;
-/// Bounds of the reach, px.
-const REACH_BOUNDS: (usize, usize) = (2, 16);
+/// Least reach, px.
+const LEAST_REACH: usize = 2;
+/// Longer side above which an image is halved first, px: at 1,120 px, a third of the time for a
+/// kernel that is as near to the true one.
+const LARGEST_SIDE: usize = 640;
 /// Approximate number of pixels in the estimate; larger images contribute every n-th row.
 const PIXELS: usize = 60_000;
 /// Weight of the squared taps, in units of the mean squared derivative: keeps noise out of the
@@ -31,23 +34,45 @@ const FAR: f64 = 0.002;
 const FAR_SIDE: f64 = 560.0;
 /// Share of the largest tap below which taps only show such widening.
 const SMALLEST_TAP: f32 = 0.1;
-/// Iterations of the solver; half of them settle the third digit of the residual.
+/// Iterations of the solver. They end before it converges, which regularises: at 420 px, half of
+/// them leave taps all around the kernel, and with four times as many it falls apart into few heavy
+/// taps. Larger images converge later; the thresholds of docs/decisions/shake.md are for this
+/// number.
 const ITERATIONS: usize = 200;
 
 /// Reach of a kernel from its centre, px, for images with this longer side.
-pub fn reach(longer_side: usize) -> usize {
-    let reach = (REACH_SHARE * longer_side as f64).round() as usize;
-    reach.clamp(REACH_BOUNDS.0, REACH_BOUNDS.1)
+fn reach(longer_side: usize) -> usize {
+    ((REACH_SHARE * longer_side as f64).round() as usize).max(LEAST_REACH)
 }
 
 /// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
-/// with taps up to [`reach`]. Still if the images are too small or too flat for an estimate.
+/// with taps up to 2 % of the longer side from its centre. Still if the images are too small or too
+/// flat for an estimate.
 pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
-    let reach = reach(render.width().max(render.height()));
-    if render.width().min(render.height()) <= 4 * reach + 2 {
+    let mut lights = [render, photograph].map(|image| Light::of(image, response));
+    let mut halvings = 0;
+    while lights[0].longer_side() > LARGEST_SIDE {
+        lights = lights.map(|light| light.halved());
+        halvings += 1;
+    }
+    let [from, to] = &lights;
+    (0..halvings).fold(solved(from, to), |kernel, _| without_faint_taps(&kernel.doubled()))
+}
+
+fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
+    let least = SMALLEST_TAP * kernel.taps().first().map_or(0.0, |tap| tap.weight);
+    let taps = kernel.taps().iter().filter(|tap| tap.weight >= least);
+    ShakeKernel::new(taps.copied().collect())
+}
+
+/// The kernel that turns the light of a render into that of its photograph.
+fn solved(from: &Light, to: &Light) -> ShakeKernel {
+    let reach = reach(from.longer_side());
+    if from.width.min(from.height) <= 4 * reach + 2 {
         return ShakeKernel::still();
     }
-    let (from, to) = (Derivatives::of(render, response), Derivatives::of(photograph, response));
+    let longer = from.longer_side() as f64;
+    let (from, to) = (from.derivatives(), to.derivatives());
     let square = 2 * reach + 1;
     let own = Correlation::new(&from, &from, 2 * reach);
     let wanted = Correlation::new(&to, &from, reach);
@@ -55,7 +80,6 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
     if !(scale.is_finite() && scale > 1e-12) {
         return ShakeKernel::still();
     }
-    let longer = render.width().max(render.height()) as f64;
     let price = FAR * (FAR_SIDE / longer).min(1.0).powi(2);
     let offset = |tap: usize| {
         let (x, y) = (tap % square, tap / square);
@@ -85,29 +109,55 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
     ShakeKernel::new(taps.map(|(tap, &weight)| Tap { offset: offset(tap), weight }).collect())
 }
 
+/// The mean light of the three channels.
+struct Light {
+    width: usize,
+    height: usize,
+    values: Vec<f32>,
+}
+
+impl Light {
+    fn of(image: &Image, response: &Response) -> Self {
+        let (pixels, data) = (image.pixels(), image.data());
+        let light = |i: usize| {
+            let of = |c: usize| response.light(f64::from(data[c * pixels + i])) as f32;
+            (0..3).map(of).sum::<f32>() / 3.0
+        };
+        let values = (0..pixels).map(light).collect();
+        Self { width: image.width(), height: image.height(), values }
+    }
+
+    fn longer_side(&self) -> usize {
+        self.width.max(self.height)
+    }
+
+    /// The means of four pixels each, without an odd last row or column.
+    fn halved(&self) -> Self {
+        let (width, height) = (self.width / 2, self.height / 2);
+        let mean = |i: usize| {
+            let at = 2 * (i / width) * self.width + 2 * (i % width);
+            let below = at + self.width;
+            let four = [at, at + 1, below, below + 1].map(|at| self.values[at]);
+            0.25 * four.iter().sum::<f32>()
+        };
+        Self { width, height, values: (0..width * height).map(mean).collect() }
+    }
+
+    fn derivatives(&self) -> Derivatives {
+        let (light, pixels) = (&self.values, self.values.len());
+        let difference = |step: usize| -> Vec<f32> {
+            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
+        };
+        let planes = [difference(1), difference(self.width)];
+        Derivatives { width: self.width, height: self.height, planes }
+    }
+}
+
 /// Horizontal and vertical differences of the mean light.
 struct Derivatives {
     width: usize,
     height: usize,
     planes: [Vec<f32>; 2],
-}
-
-impl Derivatives {
-    fn of(image: &Image, response: &Response) -> Self {
-        let (width, height) = (image.width(), image.height());
-        let pixels = width * height;
-        let data = image.data();
-        let light: Vec<f32> = (0..pixels)
-            .map(|i| {
-                (0..3).map(|c| response.light(f64::from(data[c * pixels + i])) as f32).sum::<f32>()
-                    / 3.0
-            })
-            .collect();
-        let difference = |step: usize| -> Vec<f32> {
-            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
-        };
-        Self { width, height, planes: [difference(1), difference(width)] }
-    }
 }
 
 /// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels where all terms exist.

@@ -155,6 +155,39 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
 }
 
 #[test]
+fn the_shake_of_a_large_photograph_is_found_at_half_its_size() {
+    let sharp = picture(400, 300).resize_bilinear(800, 600);
+    let (kernel, response) = (curve().doubled(), Response::srgb());
+    let mut photograph = shaken(&sharp, &kernel, &response);
+    let mut random = Pcg64Mcg::seed_from_u64(3);
+    photograph.data_mut().iter_mut().for_each(|v| *v += (0.03 * normal(&mut random)) as f32);
+    let found = estimate(&sharp, &photograph, &response);
+    let right = shaken(&sharp, &kernel, &response);
+    let apart = |image: &Image| difference(image, &right, |_, _| true);
+    let (left, still) = (apart(&shaken(&sharp, &found, &response)), apart(&sharp));
+    assert!(left < 0.15 * still, "{left:.4} of {still:.4}");
+}
+
+/// Prints times. Run with `cargo test --release -p fled-core estimate_times -- --ignored
+/// --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn estimate_times() {
+    let response = Response::srgb();
+    for (width, height) in [(420, 280), (560, 374), (1120, 746)] {
+        let sharp = picture(width, height);
+        let photograph = shaken(&sharp, &curve(), &response);
+        let times = (0..5).map(|_| {
+            let start = std::time::Instant::now();
+            estimate(&sharp, &photograph, &response);
+            start.elapsed().as_secs_f64() * 1e3
+        });
+        let best = times.fold(f64::INFINITY, f64::min);
+        eprintln!("{width}x{height}: {best:.1} ms a view");
+    }
+}
+
+#[test]
 fn a_halved_kernel_shakes_a_halved_image_alike() {
     let (sharp, response) =
         (picture(160, 120).resize_area(80, 60).resize_bilinear(160, 120), Response::srgb());
