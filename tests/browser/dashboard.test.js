@@ -97,7 +97,7 @@ test("who has no photographs tries a sample, by the preset and the options of th
     await form.getByLabel("Preset").selectOption("preview");
     await button(page, "Try a sample").click();
     // The server draws for some seconds of both cores.
-    await page.waitForURL(/#\/jobs\//, { timeout: 4 * PATIENCE });
+    await page.waitForURL(/#\/jobs\//, { timeout: 2 * PATIENCE });
     await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");
     const job = await server.job(page.url().split("/").pop());
     assert.deepEqual([job.preset, job.state === "failed"], ["preview", false]);

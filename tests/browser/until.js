@@ -3,7 +3,7 @@
 import { setTimeout as sleep } from "node:timers/promises";
 
 /** A small job takes seconds alone, but the machine may be busy. */
-export const PATIENCE = 30_000;
+export const PATIENCE = 60_000;
 
 /** Asks again and again; what `probe` answers first that is not falsy. */
 export async function until(what, probe, patience = PATIENCE) {

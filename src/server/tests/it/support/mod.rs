@@ -21,7 +21,7 @@ use serde_json::json;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_fled-fake");
 /// Timeout of a job.
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 pub struct Server {
     pub data: tempfile::TempDir,
