@@ -265,3 +265,35 @@ fn largest_eigenvalue(product: &impl Fn(&[f32]) -> Vec<f32>, count: usize) -> f3
     // Power iteration converges from below.
     1.05 * length
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::{RngExt, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    #[test]
+    fn the_solution_is_optimal_and_nowhere_negative() {
+        // Not a multiple of eight.
+        const COUNT: usize = 43;
+        let mut random = Pcg64Mcg::seed_from_u64(5);
+        let mut draw =
+            |count: usize| (0..count).map(|_| random.random::<f32>() - 0.5).collect::<Vec<_>>();
+        let (factor, right) = (draw(COUNT * COUNT), draw(COUNT));
+        let row = |i: usize| &factor[i * COUNT..(i + 1) * COUNT];
+        let entry = |at: usize| {
+            let (i, j) = (at / COUNT, at % COUNT);
+            dot(row(i), row(j)) + if i == j { 1.0 } else { 0.0 }
+        };
+        let matrix: Vec<f32> = (0..COUNT * COUNT).map(entry).collect();
+        let x = non_negative_least_squares(&matrix, &right);
+        for (i, row) in matrix.chunks_exact(COUNT).enumerate() {
+            let slope = row.iter().zip(&x).map(|(a, x)| a * x).sum::<f32>() - right[i];
+            assert!(x[i] >= 0.0 && slope > -1e-4, "{i}: {}, slope {slope}", x[i]);
+            assert!(x[i] == 0.0 || slope < 1e-4, "{i}: {}, slope {slope}", x[i]);
+        }
+        let zeros = x.iter().filter(|v| **v == 0.0).count();
+        assert!((8..35).contains(&zeros), "{zeros} zeros");
+    }
+}
