@@ -1,6 +1,7 @@
 // The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update
 // in place. Sums the Gaussian's contiguous slots, goes back through conic, covariance, projection,
-// harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
+// harmonics and activations, adds the MCMC regularisers, limits the depth, updates, and adds
+// exploration noise.
 // Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots]
 // (see shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry
 // [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row],
@@ -22,6 +23,9 @@ const ACCUMULATE_POSITION: u32 = 0;
 const BETA_M: f32 = 0.9;
 const BETA_V: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
+// Largest standard deviation along the line of sight, as a share of the depth. EWA is linear about
+// the centre: a sheet that recedes farther, as a sky becomes, lies over the view as fog.
+const DEEPEST: f32 = 0.25;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<uniform> train: StepUniform;
@@ -200,6 +204,13 @@ fn update_colour(row: u32, v: array<vec4<f32>, 12>, b: array<f32, 16>, gated: ve
     }
 }
 
+// The largest log-scales by which no axis recedes too far from the camera.
+fn deepest(p: Projection, s: Shape) -> vec3<f32> {
+    let axes = p.to_camera * s.rotation;
+    let recede = abs(vec3<f32>(axes[0].z, axes[1].z, axes[2].z));
+    return log(DEEPEST * p.point.z / max(recede, vec3<f32>(1e-6)));
+}
+
 // Exploration of MCMC: a normal step shaped by the covariance, large where the opacity is small.
 fn exploration(i: u32, s: Shape) -> vec3<f32> {
     let gate = sigmoid(-100.0 * (s.opacity - 0.005));
@@ -251,7 +262,7 @@ fn main(
         mean += exploration(i, shape);
     }
     let rates = train.rates;
-    let s = g.log_scale;
+    let s = select(g.log_scale, min(g.log_scale, deepest(p, shape)), tile_counts[i] > 0u);
     update_geometry(row, 0u, vec4<f32>(mean, s.x), vec4<f32>(by.mean, by.log_scale.x), rates.xxxy);
     update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy),
         rates.yyzz);

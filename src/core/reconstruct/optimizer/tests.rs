@@ -1,5 +1,7 @@
 mod relocation;
 
+use glam::DVec3;
+
 use super::*;
 use crate::gaussians::Gaussians;
 use crate::splat::fixtures::{self, Random, cosine, relative_l2};
@@ -260,6 +262,35 @@ fn exploration_moves_faint_gaussians_and_leaves_opaque_ones() {
     assert!((spread(0) / 0.0838 - 1.0).abs() < 0.2 && (spread(1) / 0.0838 - 1.0).abs() < 0.2);
     assert!(spread(2) < 0.01);
     assert!((200..400).all(|i| moved(i, 0).abs() < 1e-6));
+}
+
+#[test]
+fn no_gaussian_recedes_by_more_than_a_quarter_of_its_depth() {
+    let mut gaussians = fixtures::gaussians(60, 0, 9);
+    gaussians.log_scales[..30].fill([2.0, -1.0, 2.0]);
+    gaussians.quats[..30].fill([1.0, 0.0, 0.0, 0.0]);
+    let bench = Bench::new(gaussians, 0);
+    bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::default());
+    let seen = bench.projection.tile_counts.read().expect("read");
+    let (after, camera) = (bench.device.download().expect("read"), &bench.view.camera);
+    let mut shrunk = [0; 3];
+    for i in (0..30).filter(|&i| seen[i] > 0) {
+        let mean = DVec3::from(bench.gaussians.means[i].map(f64::from));
+        let depth = (camera.rotation() * mean + camera.translation()).z;
+        for (axis, shrunk) in shrunk.iter_mut().enumerate() {
+            let recedes = camera.rotation().col(axis).z.abs();
+            let (before, after) = (bench.gaussians.log_scales[i][axis], after.log_scales[i][axis]);
+            let expected = before.min((0.25 * depth / recedes.max(1e-6)).ln() as f32);
+            assert!((after - expected).abs() < 1e-4, "{i} {axis}: {after} {expected}");
+            *shrunk += usize::from(after < before);
+        }
+    }
+    assert!(shrunk[2] > 5 && shrunk[0] < shrunk[2], "{shrunk:?}");
+    assert!(
+        (30..60)
+            .filter(|&i| seen[i] == 0)
+            .all(|i| after.log_scales[i] == bench.gaussians.log_scales[i])
+    );
 }
 
 #[test]
