@@ -219,6 +219,8 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
 }
 
 export function listPage(main) {
+  // Asked for only where it is shown: a reload would fetch a hidden one, lazy or not.
+  const example = h("img", { alt: "", width: 804, height: 225 });
   const jobs = jobTable(() => refresh());
   const empty = h(
     "div",
@@ -232,7 +234,7 @@ export function listPage(main) {
     h(
       "figure",
       {},
-      h("img", { alt: "", src: new URL("../example.webp", import.meta.url).href, width: 804, height: 225, loading: "lazy" }),
+      example,
       h("figcaption", {}, "A dark, shaken photograph, and fled's scene from the same camera."),
     ),
   );
@@ -277,6 +279,7 @@ export function listPage(main) {
     list.hidden = false;
     const isNone = had.jobs.length === 0 && !isFiltered;
     empty.hidden = !isNone;
+    if (isNone) example.src ||= new URL("../example.webp", import.meta.url).href;
     filter.root.hidden = isNone;
     extent.textContent = isNone ? "" : searched(shown.length, had, { q, state, preset });
     more.hidden = had.isAll;
