@@ -113,7 +113,7 @@ impl Room {
             redecorate(&mut solids, &mut rng);
         }
         Self {
-            groups: vec![Group::everywhere(solids)],
+            groups: vec![Group::around(solids)],
             lamps: vec![Lamp { place: LAMP, colour: DVec3::ONE, white_at: WHITE_AT }],
             ambient: DVec3::splat(AMBIENT),
             scale,
