@@ -133,8 +133,8 @@ both("a job gets another name and tags, by which it is found", async (width) => 
     await page.keyboard.press("Enter");
     await until("the tags are gone", async () => (await page.locator(".tag").count()) === 0);
     assert.deepEqual((await server.job(id)).tags, []);
-    await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
   }, width);
+  await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
 });
 
 both("jobs are sorted by score, by time and by name, and the address keeps how", async (width) =>

@@ -148,8 +148,11 @@ impl Stored {
             None => {
                 let source = path.clone();
                 let digest = tokio::task::spawn_blocking(move || sha256(&source)).await;
-                let digest =
-                    digest.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
+                let digest = match digest.map_err(|_| Problem::internal())? {
+                    // Deleted since its metadata was read.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+                    digest => digest.map_err(ServerError::io(&path))?,
+                };
                 app.store.remember_digest(id, (name, size, modified_ns), &digest).await?;
                 digest
             }

@@ -1,6 +1,6 @@
 //! A file as an answer: whole, as a range, or as 304 if the client has it.
 
-use std::io::SeekFrom;
+use std::io::{ErrorKind, SeekFrom};
 use std::path::PathBuf;
 
 use axum::body::Body;
@@ -61,8 +61,13 @@ impl Sent {
         length: u64,
         headers: impl IntoResponseParts,
     ) -> Result<Response, Problem> {
-        let mut source =
-            tokio::fs::File::open(&self.path).await.map_err(ServerError::io(&self.path))?;
+        let mut source = tokio::fs::File::open(&self.path).await.map_err(|error| {
+            // Deleted since its metadata was read.
+            match error.kind() {
+                ErrorKind::NotFound => Problem::not_found("file"),
+                _ => ServerError::io(&self.path)(error).into(),
+            }
+        })?;
         source.seek(SeekFrom::Start(start)).await.map_err(ServerError::io(&self.path))?;
         let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
         let whole = length == self.bytes;

@@ -120,7 +120,7 @@ impl Store {
         .await?)
     }
 
-    /// Caches the digest of a result file.
+    /// Caches the digest of a result file; of a job that was deleted meanwhile, it caches nothing.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -130,7 +130,7 @@ impl Store {
         (name, bytes, modified_ns): (&str, i64, i64),
         sha256: &str,
     ) -> Result<()> {
-        sqlx::query(
+        let cached = sqlx::query(
             "INSERT INTO artifacts (job_id, name, bytes, modified_ns, sha256)
              VALUES ($1, $2, $3, $4, $5)
              ON CONFLICT (job_id, name) DO UPDATE SET bytes = excluded.bytes,
@@ -142,8 +142,12 @@ impl Store {
         .bind(modified_ns)
         .bind(sha256)
         .execute(&self.pool)
-        .await?;
-        Ok(())
+        .await
+        .map_err(ServerError::from);
+        match cached {
+            Err(error) if error.is_of_a_name() => Ok(()),
+            cached => cached.map(drop),
+        }
     }
 }
 
