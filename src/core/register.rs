@@ -109,32 +109,33 @@ pub fn correction(
 
 /// The mean absolute difference of two images without the border.
 pub fn difference(photograph: &Image, render: &Image) -> f64 {
-    let all = differences(photograph, render, 1);
-    all.iter().map(|d| f64::from(*d)).sum::<f64>() / all.len().max(1) as f64
+    let (mut sum, mut count) = (0.0, 0);
+    for (a, b) in rows_within(photograph).zip(rows_within(render)) {
+        sum = a.iter().zip(b).fold(sum, |sum, (a, b)| sum + f64::from((a - b).abs()));
+        count += a.len();
+    }
+    sum / count.max(1) as f64
 }
 
-/// Standard deviation of the differences, estimated from their median; `None` if it is 0 or not
-/// finite.
+/// Standard deviation of the differences, estimated from the median of every seventh; `None` if it
+/// is 0 or not finite.
 fn middle_difference(photograph: &Image, render: &Image) -> Option<f32> {
-    let mut some = differences(photograph, render, 7);
+    let rows = rows_within(photograph).zip(rows_within(render));
+    let all = rows.flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b).abs()));
+    let mut some: Vec<f32> = all.step_by(7).collect();
     let middle = some.len() / 2;
     let (_, median, _) = some.select_nth_unstable_by(middle, f32::total_cmp);
     let deviation = 1.4826 * *median;
     (deviation.is_finite() && deviation > 0.0).then_some(deviation)
 }
 
-/// Every `nth` absolute difference within the border.
-fn differences(photograph: &Image, render: &Image, nth: usize) -> Vec<f32> {
-    let (width, height) = (render.width(), render.height());
-    let inside = |i: &usize| {
-        let (x, y) = (i % width, i / width % height);
-        x >= BORDER && y >= BORDER && x + BORDER < width && y + BORDER < height
-    };
-    (0..3 * width * height)
-        .filter(inside)
-        .step_by(nth)
-        .map(|i| (photograph.data()[i] - render.data()[i]).abs())
-        .collect()
+/// The rows of all channels within the border.
+fn rows_within(image: &Image) -> impl Iterator<Item = &[f32]> {
+    let (width, height) = (image.width(), image.height());
+    let rows = image.data().chunks_exact(width.max(1)).enumerate();
+    let inside = move |y: usize| (BORDER..height.saturating_sub(BORDER)).contains(&y);
+    rows.filter(move |(row, _)| inside(row % height))
+        .map(move |(_, row)| row.get(BORDER..width.saturating_sub(BORDER)).unwrap_or(&[]))
 }
 
 /// Removes from `motions` the part common to all cameras: a rotation, a translation and a scale of
