@@ -23,8 +23,6 @@ const MOST_HASTE: f64 = 5.0;
 /// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units per
 /// step at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
-/// Factor of the means' rate in warm rounds.
-const WARM_MEANS: f64 = 0.3;
 /// Densification runs between these shares of the round.
 const DENSIFY: (f64, f64) = (0.05, 0.8);
 /// Share of the round after which the shake is estimated; a warm round does so from its start.
@@ -105,8 +103,7 @@ impl Schedule {
     pub fn means_rate(&self, step: u32) -> f64 {
         let (start, end) = MEANS_RATES;
         let haste = (PUBLISHED_STEPS / f64::from(self.steps.max(1))).clamp(1.0, MOST_MEANS_HASTE);
-        let rate = haste * start * (end / start).powf(self.share(step));
-        if self.warm { rate * WARM_MEANS } else { rate }
+        haste * start * (end / start).powf(self.share(step))
     }
 
     /// Whether the means explore at `step`.
@@ -217,7 +214,6 @@ mod tests {
         let long = Schedule { steps: 30_000, ..PLAN };
         assert!((long.means_rate(0) - 1.6e-4).abs() < 1e-12);
         assert!((long.means_rate(30_000) - 1.6e-6).abs() < 1e-12);
-        assert!((Schedule { warm: true, ..long }.means_rate(0) - 0.48e-4).abs() < 1e-12);
     }
 
     #[test]
