@@ -134,28 +134,3 @@ fn a_world_motion_round_trips_through_its_twist() {
     let (turn, way) = world_motion(&camera, &motion.moved(&camera));
     assert!((turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6, "{turn} {way}");
 }
-
-/// Prints CPU times. Run with `cargo test --release -p fled-core correction_times -- --ignored
-/// --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn correction_times() {
-    for (width, height) in [(560, 373), (1120, 746)] {
-        let picture = |by: f32| {
-            let value = |i: usize| 0.5 + 0.3 * (i as f32 * 0.013 + by).sin();
-            Image::from_planar(width, height, (0..3 * width * height).map(value).collect())
-        };
-        let (photograph, render) = (picture(0.2), picture(0.0));
-        let probed = std::array::from_fn(|i| picture(0.01 * i as f32));
-        let probes = probes(&camera_at(DVec3::new(0.2, -0.1, -DEPTH)), DEPTH);
-        let times = (0..5).map(|_| {
-            let start = std::time::Instant::now();
-            correction(&photograph, &render, &probed, &probes);
-            difference(&photograph, &render);
-            difference(&photograph, &render);
-            start.elapsed().as_secs_f64() * 1e3
-        });
-        let best = times.fold(f64::INFINITY, f64::min);
-        eprintln!("{width}x{height}: {best:.1} ms a view");
-    }
-}
