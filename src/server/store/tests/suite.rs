@@ -220,7 +220,7 @@ async fn deleting_a_job_deletes_its_rows_but_a_used_capture_stays() {
             .expect("events")
             .is_empty()
     );
-    // Whoever lists its files at this moment still hashes one of them.
+    // A list of its files that began earlier may end after the deletion.
     let file = ("scene.ply", 3, 7);
     store.remember_digest("j", file, "d").await.expect("no fault");
     assert_eq!(store.digest("j", "scene.ply", 3, 7).await.expect("read"), None);
