@@ -62,11 +62,12 @@ impl Sent {
         headers: impl IntoResponseParts,
     ) -> Result<Response, Problem> {
         let mut source = tokio::fs::File::open(&self.path).await.map_err(|error| {
-            // Deleted since its metadata was read.
-            match error.kind() {
-                ErrorKind::NotFound => Problem::not_found("file"),
-                _ => ServerError::io(&self.path)(error).into(),
+            if error.kind() == ErrorKind::NotFound {
+                // Deleted meanwhile, or lost: the log tells which file.
+                tracing::warn!(path = %self.path.display(), "a file to send is missing");
+                return Problem::not_found("file");
             }
+            ServerError::io(&self.path)(error).into()
         })?;
         source.seek(SeekFrom::Start(start)).await.map_err(ServerError::io(&self.path))?;
         let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
