@@ -69,11 +69,16 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
+# A browser on a busy machine is late at times: a file that fails runs once more, alone, and fails when it fails again.
 test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
 	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium)
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
-	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test --test-concurrency 2 *.test.js
+	    export FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) && \
+	    { node --test --test-concurrency 2 --test-reporter tap --test-reporter-destination stdout \
+	        --test-reporter ./failed.js --test-reporter-destination failed.txt *.test.js || \
+	    { sort -u -o failed.txt failed.txt && echo "== failed, once more and alone:" && cat failed.txt && \
+	      xargs node --test --test-concurrency 1 <failed.txt; }; }
 
 # TORCH=PYTHON has the packages already and saves their installation.
 test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler

@@ -15,6 +15,8 @@ const ARGUMENTS = [
   "--disable-background-networking", "--disable-component-update", "--disable-sync",
   // WebGL by software, as the scene in 3D wants it.
   "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+  // A wheel's turn is over at once: what is measured next does not move under the test.
+  "--disable-smooth-scrolling",
 ];
 
 /** px */

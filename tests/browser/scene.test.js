@@ -278,7 +278,7 @@ test("the wheel scrolls the page until the scene has the focus, and again after 
     await frame(page).hover();
     const before = await scrolled();
     await page.mouse.wheel(0, 60);
-    await until("the page scrolls", async () => (await scrolled()) > before);
+    await until("the page scrolls", async () => (await scrolled()) === before + 60);
     await settled(page);
     const picture = await shown(page);
     const place = await scrolled();
