@@ -89,7 +89,7 @@ pub enum Event {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         steps_per_second: Option<f64>,
     },
-    /// The state of a round's training, every 25 steps.
+    /// The state of a round's training, every 25 steps; every 100 of a round of 5,000 and more.
     TrainingSeen {
         round: u32,
         /// Steps done.

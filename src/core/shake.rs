@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
 pub use denoise::denoised;
-pub use estimate::estimate;
+pub use estimate::{Sampling, estimate};
 use kernels::ShakeUniform;
 pub use response::Response;
 pub use saved::{parse, save};

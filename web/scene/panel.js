@@ -55,7 +55,10 @@ export function scenePanel(job, headers = {}) {
     image.dataset.of = url;
     if (!headers.Authorization) { image.src = url; return; }
     const answer = await fetch(url, { headers });
-    if (answer.ok) image.src = URL.createObjectURL(await answer.blob());
+    if (!answer.ok) return;
+    const own = URL.createObjectURL(await answer.blob());
+    image.addEventListener("load", () => URL.revokeObjectURL(own), { once: true });
+    image.src = own;
   }
 
   image.addEventListener("error", () => { image.hidden = true; });

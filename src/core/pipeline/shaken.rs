@@ -21,7 +21,7 @@ use crate::event::Stage;
 use crate::image::Image;
 use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
-use crate::shake::{self, Response};
+use crate::shake::{self, Response, Sampling};
 
 /// Least elongation of the kernel from D to H of a shaken view, px, at a longer side of
 /// [`TOLD_SIDE`] (docs/decisions/shake.md).
@@ -43,7 +43,7 @@ fn at_size(length: f64, longer_side: usize) -> f64 {
 /// least elongation of a shaken view.
 fn elongations(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
     let of = |(view, sharper): (&Image, &Image)| {
-        let kernel = shake::estimate(sharper, view, response);
+        let kernel = shake::estimate(sharper, view, response, Sampling::Fine);
         kernel.elongation() / at_size(TOLD_FROM, view.width().max(view.height()))
     };
     enhanced.par_iter().zip(deblurred).map(of).collect()

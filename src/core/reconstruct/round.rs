@@ -36,9 +36,9 @@ pub enum TrainStart {
 pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
 /// Receives a checkpoint: about every 30 seconds, and when the round is cancelled.
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
-/// Receives the state of training every 25 steps.
+/// Receives the state of training every 25 steps, every 100 of a round of 5,000 and more.
 pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
-/// May render the current scene: about every 25 steps, and after the last.
+/// May render the current scene: about as often, and after the last.
 pub type LookHook<'a> = &'a mut dyn FnMut(&mut Look<'_>) -> Result<(), GpuError>;
 
 /// The state of training.

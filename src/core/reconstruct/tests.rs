@@ -2,6 +2,8 @@ mod explained;
 mod interrupted;
 
 use glam::DVec3;
+use rand::SeedableRng;
+use rand_pcg::Pcg64;
 
 use super::*;
 use crate::camera::normalisation::Normalisation;
@@ -11,6 +13,8 @@ use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
 use crate::metrics::psnr;
 use crate::noise::NoiseMode;
+use crate::register;
+use crate::shake::{self, Sampling};
 use crate::splat::fixtures::{self, Random};
 use crate::splat::project::Projection;
 use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
@@ -279,6 +283,30 @@ fn a_step_that_overflows_is_repeated_in_larger_buffers() {
 }
 
 #[test]
+fn a_device_waits_for_the_host_only_where_the_scene_is_needed() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
+    let idle = |steps, last, refine_poses| {
+        let config = TrainConfig {
+            resolution_schedule: true,
+            shake: Some(Response::srgb()),
+            refine_poses,
+            ..config(steps, 80)
+        };
+        let begin = start(&views, &scene, &config);
+        let trainer = trainer::Trainer::new(fixtures::gpu(), &views, begin, &config);
+        trainer.expect("made").idle_before(last)
+    };
+    // Growth every hundred steps; the resolution changes at 500 and 1,500, where kernels begin.
+    let long: Vec<u32> = (0..1_700).filter(|step| step % 100 == 0 || *step == 1_675).collect();
+    assert_eq!(idle(5_000, 1_700, None), long);
+    // 60 steps grow every ten of them, correct cameras every twelve from 24 on, and solve for
+    // kernels eight times from 18 on.
+    let short = [0, 6, 10, 18, 20, 22, 24, 25, 26, 30, 31, 36, 37, 40, 43, 48, 50, 52];
+    assert_eq!(idle(60, 60, Some(3.0)), short);
+}
+
+#[test]
 fn a_poisoned_start_neither_spreads_nor_stays_in_the_scene() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
@@ -332,4 +360,40 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let difference: f32 = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs()).sum();
     let mass: f32 = before.data().iter().sum();
     assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
+}
+
+/// Prints what the host does between the steps of a round. Run with `cargo test --release -p
+/// fled-core host_times -- --ignored --nocapture`.
+#[test]
+#[ignore = "a measurement"]
+fn host_times() {
+    let best = |what: &str, work: &mut dyn FnMut()| {
+        let times = (0..9).map(|_| {
+            let begun = std::time::Instant::now();
+            work();
+            begun.elapsed().as_secs_f64() * 1e3
+        });
+        eprintln!("{what}: {:.1} ms", times.fold(f64::INFINITY, f64::min));
+    };
+    let scene = truth(150, 5);
+    for (width, height) in [(420, 280), (560, 374), (1120, 746)] {
+        let seen = render(&scene, &camera_at(0.0, width, height));
+        let moved: Vec<Image> =
+            (1..8).map(|n| render(&scene, &camera_at(0.001 * n as f64, width, height))).collect();
+        let [photograph, probed @ ..] = &moved[..] else { panic!("seven") };
+        let probed: [Image; 6] = probed.to_vec().try_into().expect("six");
+        best(&format!("a kernel at {width}x{height}"), &mut || {
+            shake::estimate(&seen, photograph, &Response::srgb(), Sampling::Coarse);
+        });
+        let probes = register::probes(&camera_at(0.0, width, height), 3.0);
+        best(&format!("a camera at {width}x{height}"), &mut || {
+            register::correction(photograph, &seen, &probed, &probes);
+            register::difference(photograph, &seen);
+        });
+    }
+    let rows = pack_geometry(&truth(100_000, 5));
+    let mut random = Pcg64::seed_from_u64(1);
+    best("growth of 100,000", &mut || {
+        densify::plan(&rows, 105_000, &mut random);
+    });
 }

@@ -56,6 +56,9 @@ pub(super) struct Trainer<'a> {
     next: u32,
     start_count: usize,
     last_view: usize,
+    /// The steps submitted while nothing was in flight.
+    #[cfg(test)]
+    idle: Vec<u32>,
     /// Wall seconds of training in earlier processes.
     seconds_before: f64,
     /// Wall seconds between the steps, in this process.
@@ -104,6 +107,8 @@ impl<'a> Trainer<'a> {
             next: 0,
             start_count: gaussians.len(),
             last_view: 0,
+            #[cfg(test)]
+            idle: Vec::new(),
             seconds_before: 0.0,
             seconds_between: BetweenSteps::default(),
             begun: Instant::now(),
@@ -171,6 +176,8 @@ impl<'a> Trainer<'a> {
                 self.next += 1;
                 self.next - 1
             });
+            #[cfg(test)]
+            self.idle.extend(flight.is_empty().then_some(step));
             self.submit(step)?;
             flight.begin(step, self.model.pass.buffers().counts()?);
             self.settle(&mut flight, IN_FLIGHT - 1)?;
@@ -293,6 +300,20 @@ impl Trainer<'_> {
         let outcome = self.run(&mut hooks);
         assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))), "it ended");
         kept
+    }
+
+    /// Trains up to `last` and returns the steps before which the device had nothing to do.
+    pub(super) fn idle_before(mut self, last: u32) -> Vec<u32> {
+        let cancel = crate::cancel::CancelToken::new();
+        let mut hooks = TrainHooks {
+            cancel: &cancel,
+            progress: &mut |_, _, _| {},
+            checkpoint: None,
+            seen: None,
+            look: None,
+        };
+        self.train_to(last, &mut hooks).expect("trains");
+        self.idle
     }
 
     /// The trainer with room for this number of intersections.

@@ -15,8 +15,6 @@ const LEAST_REACH: usize = 2;
 /// Longer side above which an image is halved first, px: at 1,120 px, a third of the time for a
 /// kernel that is as near to the true one.
 const LARGEST_SIDE: usize = 640;
-/// Approximate number of pixels in the estimate; larger images contribute every n-th row.
-const PIXELS: usize = 60_000;
 /// Weight of the squared taps, in units of the mean squared derivative: keeps noise out of the
 /// kernel.
 const RIDGE: f64 = 0.01;
@@ -40,6 +38,26 @@ const SMALLEST_TAP: f32 = 0.1;
 /// number.
 const ITERATIONS: usize = 200;
 
+/// The share of the pixels in an estimate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sampling {
+    /// For a training that solves for the kernel again: as near to the true kernel in half of the
+    /// time.
+    Coarse,
+    /// For a verdict by the elongation, which is less certain otherwise (docs/decisions/shake.md).
+    Fine,
+}
+
+impl Sampling {
+    /// Approximate number of pixels; larger images contribute every n-th row.
+    fn pixels(self) -> usize {
+        match self {
+            Self::Coarse => 30_000,
+            Self::Fine => 60_000,
+        }
+    }
+}
+
 /// Reach of a kernel from its centre, px, for images with this longer side.
 fn reach(longer_side: usize) -> usize {
     ((REACH_SHARE * longer_side as f64).round() as usize).max(LEAST_REACH)
@@ -48,7 +66,12 @@ fn reach(longer_side: usize) -> usize {
 /// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
 /// with taps up to 2 % of the longer side from its centre. Still if the images are too small or too
 /// flat for an estimate.
-pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+pub fn estimate(
+    render: &Image,
+    photograph: &Image,
+    response: &Response,
+    sampling: Sampling,
+) -> ShakeKernel {
     let mut lights = [render, photograph].map(|image| Light::of(image, response));
     let mut halvings = 0;
     while lights[0].longer_side() > LARGEST_SIDE {
@@ -56,7 +79,9 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
         halvings += 1;
     }
     let [from, to] = &lights;
-    (0..halvings).fold(solved(from, to), |kernel, _| without_faint_taps(&kernel.doubled()))
+    (0..halvings).fold(solved(from, to, sampling.pixels()), |kernel, _| {
+        without_faint_taps(&kernel.doubled())
+    })
 }
 
 fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
@@ -65,8 +90,9 @@ fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
     ShakeKernel::new(taps.copied().collect())
 }
 
-/// The kernel that turns the light of a render into that of its photograph.
-fn solved(from: &Light, to: &Light) -> ShakeKernel {
+/// The kernel that turns the light of a render into that of its photograph, from about so many
+/// pixels.
+fn solved(from: &Light, to: &Light, pixels: usize) -> ShakeKernel {
     let reach = reach(from.longer_side());
     if from.width.min(from.height) <= 4 * reach + 2 {
         return ShakeKernel::still();
@@ -74,8 +100,8 @@ fn solved(from: &Light, to: &Light) -> ShakeKernel {
     let longer = from.longer_side() as f64;
     let (from, to) = (from.derivatives(), to.derivatives());
     let square = 2 * reach + 1;
-    let own = Correlation::new(&from, &from, 2 * reach);
-    let wanted = Correlation::new(&to, &from, reach);
+    let own = Correlation::new(&from, &from, 2 * reach, pixels);
+    let wanted = Correlation::new(&to, &from, reach, pixels);
     let scale = own.at(0, 0);
     if !(scale.is_finite() && scale > 1e-12) {
         return ShakeKernel::still();
@@ -167,12 +193,12 @@ struct Correlation {
 }
 
 impl Correlation {
-    fn new(a: &Derivatives, b: &Derivatives, reach: usize) -> Self {
+    fn new(a: &Derivatives, b: &Derivatives, reach: usize, most: usize) -> Self {
         // The last row and column have no differences.
         let (left, right, bottom) = (reach, a.width - 1 - reach, a.height - 1 - reach);
         let square = 2 * reach + 1;
         let mut values = vec![0.0; square * square];
-        let stride = (a.width * a.height).div_ceil(PIXELS);
+        let stride = (a.width * a.height).div_ceil(most);
         let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
         // A correlation with itself is symmetric: half of it suffices.
         let alike = std::ptr::eq(a, b);

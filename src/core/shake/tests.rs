@@ -7,6 +7,11 @@ use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
 use crate::random::normal;
 
+/// An estimate as in training.
+fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+    super::estimate(render, photograph, response, Sampling::Coarse)
+}
+
 /// An S of 15 taps with one heavier tap, so that it has no symmetry.
 fn curve() -> ShakeKernel {
     let tap = |n: i32| {
@@ -166,25 +171,6 @@ fn the_shake_of_a_large_photograph_is_found_at_half_its_size() {
     let apart = |image: &Image| difference(image, &right, |_, _| true);
     let (left, still) = (apart(&shaken(&sharp, &found, &response)), apart(&sharp));
     assert!(left < 0.15 * still, "{left:.4} of {still:.4}");
-}
-
-/// Prints times. Run with `cargo test --release -p fled-core estimate_times -- --ignored
-/// --nocapture`.
-#[test]
-#[ignore = "a measurement"]
-fn estimate_times() {
-    let response = Response::srgb();
-    for (width, height) in [(420, 280), (560, 374), (1120, 746)] {
-        let sharp = picture(width, height);
-        let photograph = shaken(&sharp, &curve(), &response);
-        let times = (0..5).map(|_| {
-            let start = std::time::Instant::now();
-            estimate(&sharp, &photograph, &response);
-            start.elapsed().as_secs_f64() * 1e3
-        });
-        let best = times.fold(f64::INFINITY, f64::min);
-        eprintln!("{width}x{height}: {best:.1} ms a view");
-    }
 }
 
 #[test]

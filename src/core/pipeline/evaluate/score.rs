@@ -7,7 +7,7 @@ use crate::image::Image;
 use crate::metrics;
 use crate::pipeline::views::View;
 use crate::shake::reference::shaken_image;
-use crate::shake::{self, Response};
+use crate::shake::{self, Response, Sampling};
 
 /// How well a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub struct Likeness {
 /// are no less shaken.
 pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
     let of = |(render, view): (&Image, &Image)| {
-        let kernel = shake::estimate(render, view, response);
+        let kernel = shake::estimate(render, view, response, Sampling::Fine);
         let shaken = shaken_image(render, &kernel, response);
         Likeness {
             shake_px: kernel.spread(),

@@ -14,6 +14,8 @@ use crate::register::{self, Motion};
 
 /// Number of views whose seven renders are held at once.
 const AT_ONCE: usize = 4;
+/// Longer side above which the renders have half the size, px.
+const LARGEST_SIDE: usize = 640;
 
 /// A view's photograph and renders before its camera is corrected.
 struct Probed {
@@ -42,15 +44,19 @@ pub(in crate::reconstruct) struct Correction {
     pub(in crate::reconstruct) depth: f64,
     /// Degree of the harmonics.
     pub(in crate::reconstruct) degree: u32,
-    /// Whether renders have half the size in training, for a quarter of the work: exact enough
-    /// where another correction follows.
+    /// Whether renders of any size have half of that in training, for a quarter of the work: exact
+    /// enough where another correction follows.
     pub(in crate::reconstruct) is_coarse: bool,
 }
 
 impl Correction {
-    fn size(&self, view: &Observed<'_>) -> [usize; 2] {
-        let [width, height] = view.size();
-        reduced_size(width, height, 1 + usize::from(self.is_coarse)).into()
+    /// The size of the renders of a view with this size in training.
+    fn size(&self, view: [usize; 2]) -> [usize; 2] {
+        reduced_size(view[0], view[1], 1 + usize::from(self.halves(view))).into()
+    }
+
+    fn halves(&self, view: [usize; 2]) -> bool {
+        self.is_coarse || view[0].max(view[1]) > LARGEST_SIDE
     }
 }
 
@@ -88,7 +94,7 @@ impl ForwardModel<'_> {
                     continue;
                 };
                 let motion = self.views[view].motion().plus(&correction);
-                let size = how.size(&self.views[view]);
+                let size = how.size(self.views[view].size());
                 let camera = self.views[view].camera_after(&motion, size);
                 let after = self.render_shaken(view, &camera, how)?;
                 if seen.is_worse_than(&after) {
@@ -111,7 +117,7 @@ impl ForwardModel<'_> {
         else {
             return self.render(camera, how.degree);
         };
-        let taps = match how.is_coarse {
+        let taps = match how.halves(self.views[view].size()) {
             true => own.kernel().halved(),
             false => own.kernel().clone(),
         };
@@ -127,7 +133,7 @@ impl ForwardModel<'_> {
     }
 
     fn probe(&mut self, view: usize, how: Correction) -> Result<Probed, GpuError> {
-        let size = how.size(&self.views[view]);
+        let size = how.size(self.views[view].size());
         let motion = self.views[view].motion();
         let camera = self.views[view].camera_after(&motion, size);
         let render = self.render_shaken(view, &camera, how)?;
@@ -165,5 +171,19 @@ impl ForwardModel<'_> {
         }
         self.set_motions(twists.iter().map(|&twist| Motion { twist }));
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn renders_of_large_views_have_half_the_size() {
+        let how = |is_coarse| Correction { depth: 1.0, degree: 0, is_coarse };
+        assert_eq!(how(false).size([560, 373]), [560, 373]);
+        assert_eq!(how(true).size([560, 373]), [280, 187]);
+        assert_eq!(how(false).size([747, 1120]), [374, 560]);
+        assert_eq!(how(true).size([747, 1120]), [374, 560]);
     }
 }

@@ -12,10 +12,12 @@ use crate::reconstruct::level::Level;
 use crate::reconstruct::{Checkpoint, ReconstructError, TrainHooks};
 use crate::shake::Shake;
 
-/// Steps between synchronisations with the device. All that depends on finished steps
-/// (densification, periodic checkpoints) happens only there, so that an interruption changes
-/// nothing.
-const SYNC: u32 = 25;
+/// Steps between synchronisations with the device, in a round of fewer than [`LONG`] steps and in a
+/// longer one, which densifies as often. All that depends on finished steps (densification,
+/// periodic checkpoints) happens only there, so that an interruption changes nothing.
+const SYNC: (u32, u32) = (25, 100);
+/// Steps of a long round.
+const LONG: u32 = 5_000;
 /// Share of non-finite updates of all Gaussians above which a round fails.
 const NON_FINITE_LIMIT: f64 = 1e-3;
 
@@ -38,7 +40,8 @@ impl Kept {
 impl Trainer<'_> {
     pub(super) fn is_sync(&self, step: u32) -> bool {
         let divisor = self.schedule.divisor(step);
-        step.is_multiple_of(SYNC)
+        let every = if self.config.steps < LONG { SYNC.0 } else { SYNC.1 };
+        step.is_multiple_of(every)
             || self.densifies(step)
             || self.estimates_shake(step)
             || self.refines_poses(step)

@@ -21,6 +21,11 @@ enum Count {
 }
 
 impl Flight {
+    #[cfg(test)]
+    pub(super) fn is_empty(&self) -> bool {
+        self.pending.is_empty()
+    }
+
     /// Records a submitted step.
     pub(super) fn begin(&mut self, step: u32, counts: PendingCounts) {
         self.pending.push_back((step, Count::OnItsWay(counts)));
