@@ -14,6 +14,7 @@ use crate::metrics::{RoundMetrics, ViewScore};
 use history::Cost;
 pub use history::History;
 pub use teller::Teller;
+pub use work::Pixels;
 use work::{Job, Part, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
@@ -106,8 +107,8 @@ struct Advanced {
 }
 
 impl Plan {
-    /// Plan for `views` photographs of `pixels` in all, at working size.
-    pub fn new(options: &Options, views: usize, pixels: usize, by: By, history: History) -> Self {
+    /// Plan for `views` photographs.
+    pub fn new(options: &Options, views: usize, pixels: Pixels, by: By, history: History) -> Self {
         Self {
             job: Job::new(options, views, pixels),
             history,

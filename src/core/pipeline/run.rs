@@ -11,7 +11,7 @@ use super::evaluate::{Finished, RoundImages, evaluate};
 use super::explained::{self, explained, trained_on, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::{By, History, Plan, Teller};
+use super::plan::{By, History, Pixels, Plan, Teller};
 use super::poses::{poses, publish};
 use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
@@ -110,7 +110,11 @@ pub fn run(
         views: state.views.len() as u32,
         shake: report.capture_shake,
     });
-    if asked.is_still() {
+    let is_smaller = in_effect.size < options.size;
+    if is_smaller {
+        state.views = views::load(context, capture, &state.poses, &in_effect)?;
+    }
+    if asked.is_still() || is_smaller {
         state = RoundState::new(context, asked, tools, state.poses, state.views)?;
     }
     let mut before: Option<Handover> = None;
@@ -345,12 +349,16 @@ fn teller<'a>(
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
 ) -> Teller<'a> {
-    let size = options.size as usize;
-    let pixels = |view: &CaptureView| {
-        let (width, height) = views::working_size(view.width, view.height, size);
-        width * height
+    let of = |options: &Options| {
+        let pixels = |view: &CaptureView| {
+            let size = options.size as usize;
+            let (width, height) = views::working_size(view.width, view.height, size);
+            width * height
+        };
+        capture.views.iter().map(pixels).sum()
     };
-    let pixels = capture.views.iter().map(pixels).sum();
+    let shaken = shaken::in_effect(options, Some(CaptureShake::Shaken));
+    let pixels = Pixels { asked: of(options), shaken: of(&shaken) };
     let network = tools.networks().deblur;
     let by = By {
         adapter: tools.gpu.describe().to_string(),

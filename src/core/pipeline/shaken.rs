@@ -30,6 +30,10 @@ const TOLD_SIDE: f64 = 560.0;
 /// The median elongation, relative to [`TOLD_FROM`], from which the network compensates for a shake
 /// that is too small for kernels.
 const SOFT_FROM: f64 = 0.57;
+/// Longest side of the working images of a shaken capture, px. Shake leaves no detail for larger
+/// ones, but each of their pixels is as noisy: scenes of larger images are worse at any size
+/// (docs/decisions/shake.md).
+const SHAKEN_SIDE: u32 = 420;
 /// The share of shaken views from which kernels pay off.
 pub const SHAKEN_SHARE: f64 = 0.6;
 
@@ -136,7 +140,9 @@ pub fn shaken(
     let done = match shaken.verdict() {
         CaptureShake::Still => "one round of plain splatting, cameras as found",
         CaptureShake::Soft => "trained on the views that the network deblurred, without kernels",
-        CaptureShake::Shaken => "blur kernels model their shake from the second round on",
+        CaptureShake::Shaken => {
+            "blur kernels model their shake from the second round on, in images of at most 420 px"
+        }
     };
     context.sink.log(format!("{told}: {done}"));
     Ok(Some(shaken))
@@ -155,7 +161,8 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
             options.steps = options.steps.saturating_mul(options.rounds);
         }
         Some(CaptureShake::Soft) => options.shake = ShakeModel::Off,
-        Some(CaptureShake::Shaken) | None => {}
+        Some(CaptureShake::Shaken) => options.size = options.size.min(SHAKEN_SIDE),
+        None => {}
     }
     options
 }
@@ -195,7 +202,10 @@ mod tests {
         assert_eq!(still.steps, options.steps * options.rounds);
         let soft = in_effect(&options, Some(CaptureShake::Soft));
         assert_eq!(soft.shake, ShakeModel::Off);
-        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken)), options);
+        let shaken = in_effect(&options, Some(CaptureShake::Shaken));
+        assert_eq!(shaken, Options { size: 420, ..options.clone() });
+        let small = Options { size: 280, ..options.clone() };
+        assert_eq!(in_effect(&small, Some(CaptureShake::Shaken)), small);
         assert_eq!(in_effect(&options, None), options);
     }
 

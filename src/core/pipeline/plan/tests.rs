@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 use super::*;
 use crate::deblur::NetworkChoice;
 use crate::event::ProgressSink;
+use crate::metrics::CaptureShake;
 use crate::pipeline::workspace::Workspace;
 
 /// Share by which the time left may be wrong, and seconds near the end.
@@ -48,8 +49,13 @@ impl Recording {
             network: options.deblur.as_str().to_owned(),
             poses: format!("{:?}", options.pose_source),
         };
-        Plan::new(&options, self.header.views, self.header.pixels, by, history)
+        Plan::new(&options, self.header.views, small(self.header.pixels), by, history)
     }
+}
+
+/// Photographs that a shaken capture keeps at their size.
+fn small(pixels: usize) -> Pixels {
+    Pixels { asked: pixels, shaken: pixels }
 }
 
 /// A moment of a replayed run.
@@ -168,7 +174,7 @@ fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
 
 fn fresh(history: History) -> Plan {
     let options = Options { steps: 300, deblur: NetworkChoice::Identity, ..Options::default() };
-    Plan::new(&options, 12, 12 * 240 * 136, By::default(), history)
+    Plan::new(&options, 12, small(12 * 240 * 136), By::default(), history)
 }
 
 fn with_poses(history: History) -> Plan {
@@ -326,4 +332,15 @@ fn a_finished_run_leaves_its_costs_to_the_next() {
     // Below a file there is no room for another.
     let told = told_of_a_render(&folder.path().join("costs.json"), &workspace);
     assert!(matches!(&told[3], Event::Warning { code, .. } if code == "costs"), "{told:?}");
+}
+
+#[test]
+fn a_shaken_capture_is_less_work_where_its_images_shrink() {
+    let work = |shaken| {
+        let pixels = Pixels { asked: 2_000_000, shaken };
+        let mut job = Job::new(&Options::default(), 10, pixels);
+        job.replan(2, 10, Some(CaptureShake::Shaken));
+        job.training(1, 1_000).iter().map(|(_, seconds)| seconds).sum::<f64>()
+    };
+    assert!(work(1_000_000) < 0.9 * work(2_000_000));
 }

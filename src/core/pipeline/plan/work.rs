@@ -66,6 +66,15 @@ const GROWTH: (f64, f64) = (0.05, 0.425);
 /// Work of some parts, s.
 pub type Work = Vec<(Part, f64)>;
 
+/// Pixels of all photographs at their working size.
+#[derive(Clone, Copy, Debug)]
+pub struct Pixels {
+    /// By the options.
+    pub asked: usize,
+    /// If the capture is found shaken.
+    pub shaken: usize,
+}
+
 /// The facts that decide the work of a run.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -76,6 +85,8 @@ pub struct Job {
     views: f64,
     /// Mean of a view.
     megapixels: f64,
+    /// If the capture is found shaken.
+    shaken_megapixels: f64,
     /// Photographs and pairs of them that structure from motion counts, once it has told.
     pairs: Option<u64>,
     /// Views with a kernel in the next round, once a round has told.
@@ -83,14 +94,16 @@ pub struct Job {
 }
 
 impl Job {
-    /// A run over `views` photographs of `pixels` in all, at working size.
-    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
+    /// A run over `views` photographs.
+    pub fn new(options: &Options, views: usize, pixels: Pixels) -> Self {
+        let mean = |pixels: usize| pixels as f64 / 1e6 / views.max(1) as f64;
         Self {
             asked: options.clone(),
             options: options.clone(),
             rounds: options.rounds,
             views: views as f64,
-            megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
+            megapixels: mean(pixels.asked),
+            shaken_megapixels: mean(pixels.shaken),
             pairs: None,
             kernels: None,
         }
@@ -101,6 +114,9 @@ impl Job {
         (self.rounds, self.views) = (rounds, f64::from(views));
         if shake.is_some() {
             self.options = shaken::in_effect(&self.asked, shake);
+        }
+        if shake == Some(CaptureShake::Shaken) {
+            self.megapixels = self.shaken_megapixels;
         }
     }
 
