@@ -152,7 +152,8 @@ pub fn shaken(
 ///
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
 /// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
-/// (docs/decisions/cameras.md).
+/// (docs/decisions/cameras.md). The images of a shaken capture are smaller, with as many Gaussians
+/// a pixel.
 pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
     let mut options = options.clone();
     match verdict {
@@ -161,8 +162,12 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
             options.steps = options.steps.saturating_mul(options.rounds);
         }
         Some(CaptureShake::Soft) => options.shake = ShakeModel::Off,
-        Some(CaptureShake::Shaken) => options.size = options.size.min(SHAKEN_SIDE),
-        None => {}
+        Some(CaptureShake::Shaken) if options.size > SHAKEN_SIDE => {
+            let area = (f64::from(SHAKEN_SIDE) / f64::from(options.size)).powi(2);
+            options.cap = (f64::from(options.cap) * area).round() as u32;
+            options.size = SHAKEN_SIDE;
+        }
+        Some(CaptureShake::Shaken) | None => {}
     }
     options
 }
@@ -203,7 +208,7 @@ mod tests {
         let soft = in_effect(&options, Some(CaptureShake::Soft));
         assert_eq!(soft.shake, ShakeModel::Off);
         let shaken = in_effect(&options, Some(CaptureShake::Shaken));
-        assert_eq!(shaken, Options { size: 420, ..options.clone() });
+        assert_eq!(shaken, Options { size: 420, cap: 16_875, ..options.clone() });
         let small = Options { size: 280, ..options.clone() };
         assert_eq!(in_effect(&small, Some(CaptureShake::Shaken)), small);
         assert_eq!(in_effect(&options, None), options);
