@@ -52,6 +52,7 @@ fn a_still_capture_is_splatted_plainly_in_one_round() {
     let report = json(&out.join("metrics.json"));
     assert_eq!(report["shaken_views"], 0);
     assert_eq!(report["config"]["rounds"], 2, "what was asked for");
+    assert_eq!(report["in_effect"]["refine_poses"], false);
     let rounds = report["rounds"].as_array().expect("rounds");
     assert_eq!((rounds.len(), &rounds[0]["kernels"]), (1, &0.into()));
     assert!(out.join("scene.ply").exists());

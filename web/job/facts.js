@@ -27,6 +27,7 @@ export function factList(report) {
   const list = pairs({
     "Photographs placed": placed,
     Shake: shake(report),
+    "Set by the shake": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
     "Graphics adapter": report.adapter,
     // Each photograph's place has a table of its own.
     Poses: report.poses && without(report.poses, "verdicts"),

@@ -226,6 +226,9 @@ pub struct Report {
     /// The verdict on the capture as a whole, which determines the rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capture_shake: Option<CaptureShake>,
+    /// The options that the verdict on shake changed, with their values in effect.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub in_effect: BTreeMap<String, serde_json::Value>,
     /// Wall seconds by stage.
     pub stages: BTreeMap<String, f64>,
     /// The GPU adapter and its driver.

@@ -28,6 +28,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         views: poses.total as u32,
         shaken_views: None,
         capture_shake: None,
+        in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
         adapter: tools.gpu.describe().to_string(),
         models: models.collect(),
@@ -36,6 +37,14 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         scene_offset: by.left_out.then(|| by.offset.to_array()),
         seed: options.seed,
         config: json!(options),
+    }
+}
+
+/// Records the options that a verdict on the capture changed.
+pub fn change(report: &mut Report, options: &Options, in_effect: &Options) {
+    if let (Value::Object(asked), Value::Object(used)) = (json!(options), json!(in_effect)) {
+        let changed = used.into_iter().filter(|(key, value)| asked.get(key) != Some(value));
+        report.in_effect = changed.collect();
     }
 }
 

@@ -103,6 +103,7 @@ pub fn run(
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
     let in_effect = shaken::in_effect(options, report.capture_shake);
+    report::change(&mut report, options, &in_effect);
     let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
     let rounds = if asked.is_still() { 1 } else { options.rounds };
     context.sink.event(&Event::Planned {
