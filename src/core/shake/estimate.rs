@@ -72,16 +72,31 @@ pub fn estimate(
     response: &Response,
     sampling: Sampling,
 ) -> ShakeKernel {
-    let mut lights = [render, photograph].map(|image| Light::of(image, response));
-    let mut halvings = 0;
-    while lights[0].longer_side() > LARGEST_SIDE {
-        lights = lights.map(|light| light.halved());
-        halvings += 1;
+    if render.width().max(render.height()) > LARGEST_SIDE {
+        let [render, photograph] = [render, photograph].map(halved);
+        let kernel = estimate(&render, &photograph, response, sampling);
+        return without_faint_taps(&kernel.doubled());
     }
-    let [from, to] = &lights;
-    (0..halvings).fold(solved(from, to, sampling.pixels()), |kernel, _| {
-        without_faint_taps(&kernel.doubled())
-    })
+    let [from, to] = [render, photograph].map(|image| Light::of(image, response));
+    solved(&from, &to, sampling.pixels())
+}
+
+/// The means of four pixels each, without an odd last row or column. Of encoded values: the means
+/// of their light would take a third of the time of an estimate.
+fn halved(image: &Image) -> Image {
+    let (wide, width, height) = (image.width(), image.width() / 2, image.height() / 2);
+    let mut half = Image::new(width, height);
+    for channel in 0..3 {
+        let (from, to) = (image.plane(channel), half.plane_mut(channel));
+        for (row, rows) in to.chunks_exact_mut(width.max(1)).zip(from.chunks_exact(2 * wide)) {
+            let (above, below) = rows.split_at(wide);
+            let pairs = above.chunks_exact(2).zip(below.chunks_exact(2));
+            for (mean, (a, b)) in row.iter_mut().zip(pairs) {
+                *mean = 0.25 * (a[0] + a[1] + b[0] + b[1]);
+            }
+        }
+    }
+    half
 }
 
 fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
@@ -155,18 +170,6 @@ impl Light {
 
     fn longer_side(&self) -> usize {
         self.width.max(self.height)
-    }
-
-    /// The means of four pixels each, without an odd last row or column.
-    fn halved(&self) -> Self {
-        let (width, height) = (self.width / 2, self.height / 2);
-        let mean = |i: usize| {
-            let at = 2 * (i / width) * self.width + 2 * (i % width);
-            let below = at + self.width;
-            let four = [at, at + 1, below, below + 1].map(|at| self.values[at]);
-            0.25 * four.iter().sum::<f32>()
-        };
-        Self { width, height, values: (0..width * height).map(mean).collect() }
     }
 
     fn derivatives(&self) -> Derivatives {
