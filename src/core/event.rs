@@ -69,6 +69,9 @@ pub enum Event {
         /// The verdict on the shake, once it is known.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         shake: Option<CaptureShake>,
+        /// Longest side of the working images, px, once it is known.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        size: Option<u32>,
     },
     /// A stage begins. `round` is 1-based; 0 before the rounds.
     StageStarted {

@@ -35,10 +35,10 @@ const SMOOTH_WEIGHT: f64 = 0.05;
 /// the shader.
 const SMOOTH_BEND: f64 = 0.02;
 
-/// Least elongation of a kernel that shows a significant shake, px. Photographs from careful hands
-/// and still ones have a median of 0.3 to 0.5 and at most 0.75; those shaken by 4.4 px at 560 px
-/// have 2 to 2.8 at 420 px (docs/decisions/shake.md).
+/// Least elongation of a kernel that shows a significant shake, px, at a longer side of
+/// [`TELLS_SIDE`] (docs/decisions/shake.md).
 const TELLS_FROM: f64 = 1.5;
+const TELLS_SIDE: f64 = 560.0;
 
 /// One tap: moves a share of the light by `offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,9 +111,11 @@ impl ShakeKernel {
         difference.hypot(2.0 * moment(0, 1)).sqrt()
     }
 
-    /// Whether the shake is significant, by [`ShakeKernel::elongation`].
-    pub fn tells(&self) -> bool {
-        self.elongation() >= TELLS_FROM
+    /// [`ShakeKernel::elongation`] relative to the least one of a significant shake in images with
+    /// this longer side, px. A shake grows with the image and noise does not: the least one grows
+    /// with the square root of the side, which lies between the two.
+    pub fn significance(&self, longer_side: usize) -> f64 {
+        self.elongation() / (TELLS_FROM * (longer_side as f64 / TELLS_SIDE).sqrt())
     }
 
     /// The kernel of the image at half the size.

@@ -14,7 +14,6 @@ use crate::metrics::{RoundMetrics, ViewScore};
 use history::Cost;
 pub use history::History;
 pub use teller::Teller;
-pub use work::Pixels;
 use work::{Job, Part, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
@@ -107,8 +106,8 @@ struct Advanced {
 }
 
 impl Plan {
-    /// Plan for `views` photographs.
-    pub fn new(options: &Options, views: usize, pixels: Pixels, by: By, history: History) -> Self {
+    /// Plan for `views` photographs, which have so many pixels in all at the size asked for.
+    pub fn new(options: &Options, views: usize, pixels: usize, by: By, history: History) -> Self {
         Self {
             job: Job::new(options, views, pixels),
             history,
@@ -124,7 +123,9 @@ impl Plan {
     /// Takes an event at a time in seconds; whether progress is to be told.
     pub fn take(&mut self, at: f64, event: &Event) -> bool {
         match event {
-            Event::Planned { rounds, views, shake } => self.job.replan(*rounds, *views, *shake),
+            Event::Planned { rounds, views, shake, size } => {
+                self.job.replan(*rounds, *views, *shake, *size);
+            }
             Event::StageStarted { stage, round } => {
                 self.close(at);
                 self.eta = None;

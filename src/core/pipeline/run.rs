@@ -11,7 +11,7 @@ use super::evaluate::{Finished, RoundImages, evaluate};
 use super::explained::{self, explained, trained_on, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::{By, History, Pixels, Plan, Teller};
+use super::plan::{By, History, Plan, Teller};
 use super::poses::{poses, publish};
 use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
@@ -102,7 +102,8 @@ pub fn run(
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
-    let in_effect = shaken::in_effect(options, report.capture_shake);
+    let size = shaken.as_ref().map_or(options.size, |shaken| shaken.size(options));
+    let in_effect = shaken::in_effect(options, report.capture_shake, size);
     report::change(&mut report, options, &in_effect);
     let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
     let rounds = if asked.is_still() { 1 } else { options.rounds };
@@ -110,6 +111,7 @@ pub fn run(
         rounds,
         views: state.views.len() as u32,
         shake: report.capture_shake,
+        size: Some(in_effect.size),
     });
     let is_smaller = in_effect.size < options.size;
     if is_smaller {
@@ -237,6 +239,7 @@ fn round(
         rounds: asked.options.rounds,
         views: views.len() as u32,
         shake: report.capture_shake,
+        size: Some(asked.options.size),
     });
     *state = RoundState::new(context, asked, tools, poses, views)?;
     state.hand_over(context, tools, turn.index, scene, on)
@@ -331,6 +334,7 @@ fn begin<'a>(
         rounds: options.rounds,
         views: capture.views.len() as u32,
         shake: None,
+        size: None,
     });
     sink.log(format!("adapter: {}", tools.gpu.describe()));
     for (option, network) in tools.networks().named() {
@@ -350,16 +354,11 @@ fn teller<'a>(
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
 ) -> Teller<'a> {
-    let of = |options: &Options| {
-        let pixels = |view: &CaptureView| {
-            let size = options.size as usize;
-            let (width, height) = views::working_size(view.width, view.height, size);
-            width * height
-        };
-        capture.views.iter().map(pixels).sum()
+    let pixels = |view: &CaptureView| {
+        let (width, height) = views::working_size(view.width, view.height, options.size as usize);
+        width * height
     };
-    let shaken = shaken::in_effect(options, Some(CaptureShake::Shaken));
-    let pixels = Pixels { asked: of(options), shaken: of(&shaken) };
+    let pixels = capture.views.iter().map(pixels).sum();
     let network = tools.networks().deblur;
     let by = By {
         adapter: tools.gpu.describe().to_string(),

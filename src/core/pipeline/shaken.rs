@@ -23,40 +23,35 @@ use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response, Sampling};
 
-/// Least elongation of the kernel from D to H of a shaken view, px, at a longer side of
-/// [`TOLD_SIDE`] (docs/decisions/shake.md).
-const TOLD_FROM: f64 = 1.5;
-const TOLD_SIDE: f64 = 560.0;
-/// The median elongation, relative to [`TOLD_FROM`], from which the network compensates for a shake
+/// The median significance from which the network compensates for a shake
 /// that is too small for kernels.
 const SOFT_FROM: f64 = 0.57;
 /// Longest side of the working images of a shaken capture, px. Shake leaves no detail for larger
 /// ones, but each of their pixels is as noisy: scenes of larger images are worse at any size
 /// (docs/decisions/shake.md).
-const SHAKEN_SIDE: u32 = 420;
+const SHAKEN_SIDE: u32 = 560;
+/// The same of a strongly shaken one.
+const STRONG_SIDE: u32 = 420;
+/// The median significance in images of [`STRONG_SIDE`] from which a shake is strong.
+const STRONG_FROM: f64 = 1.25;
+/// Most views that tell whether a shake is strong.
+const MOST_ASKED: usize = 12;
 /// The share of shaken views from which kernels pay off.
 pub const SHAKEN_SHARE: f64 = 0.6;
 
-/// Scales a length to the size of the image. A shake grows with the image and noise does not: the
-/// square root lies between the two.
-fn at_size(length: f64, longer_side: usize) -> f64 {
-    length * (longer_side as f64 / TOLD_SIDE).sqrt()
-}
-
-/// For each view, the elongation of the kernel from its deblurred image back to it, relative to the
-/// least elongation of a shaken view.
-fn elongations(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
+/// For each view, the significance of the kernel from its deblurred image back to it.
+fn significances(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
     let of = |(view, sharper): (&Image, &Image)| {
         let kernel = shake::estimate(sharper, view, response, Sampling::Fine);
-        kernel.elongation() / at_size(TOLD_FROM, view.width().max(view.height()))
+        kernel.significance(view.width().max(view.height()))
     };
     enhanced.par_iter().zip(deblurred).map(of).collect()
 }
 
 /// For each view, whether deblurring removed a significant shake.
 pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<bool> {
-    let elongations = elongations(enhanced, deblurred, response);
-    elongations.into_iter().map(|ratio| ratio >= 1.0).collect()
+    let of_views = significances(enhanced, deblurred, response);
+    of_views.into_iter().map(|significance| significance >= 1.0).collect()
 }
 
 /// Whether the options require a verdict before the rounds: only where both the kernels and the
@@ -72,17 +67,16 @@ pub fn asks(options: &Options) -> bool {
 pub struct Shaken {
     told: BTreeSet<String>,
     verdict: CaptureShake,
+    is_strong: bool,
 }
 
 impl Shaken {
-    /// `views` are names and elongations relative to the least elongation of a shaken view.
+    /// `views` are names and the significance of their shake.
     pub fn of<'a>(views: impl Iterator<Item = (&'a str, f64)>) -> Self {
         let views: Vec<_> = views.collect();
         let told = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
         let told: BTreeSet<_> = told.map(|(name, _)| (*name).to_owned()).collect();
-        let mut ratios: Vec<_> = views.iter().map(|(_, ratio)| *ratio).collect();
-        ratios.sort_by(f64::total_cmp);
-        let middle = ratios.get(ratios.len() / 2).copied().unwrap_or(0.0);
+        let middle = middle(views.iter().map(|(_, ratio)| *ratio).collect());
         let verdict = if told.len() as f64 >= SHAKEN_SHARE * views.len() as f64 {
             CaptureShake::Shaken
         } else if middle >= SOFT_FROM {
@@ -90,7 +84,7 @@ impl Shaken {
         } else {
             CaptureShake::Still
         };
-        Self { told, verdict }
+        Self { told, verdict, is_strong: false }
     }
 
     /// Whether this view is shaken.
@@ -105,6 +99,16 @@ impl Shaken {
     pub fn verdict(&self) -> CaptureShake {
         self.verdict
     }
+
+    /// Longest side of the working images if the capture is shaken, px.
+    pub fn size(&self, options: &Options) -> u32 {
+        options.size.min(if self.is_strong { STRONG_SIDE } else { SHAKEN_SIDE })
+    }
+}
+
+fn middle(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// Runs the stage before the rounds: finds the shaken views at the target brightness. `None` if the
@@ -134,27 +138,57 @@ pub fn shaken(
     let on = depends_on.round(0, None).deblur;
     let deblurred = restoration.by(tools.deblurrer, context, &on)?;
     let response = &brightening.last().response;
-    let ratios = elongations(&brightening.target, &deblurred, response);
-    let shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
+    let ratios = significances(&brightening.target, &deblurred, response);
+    let mut shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
+    if shaken.verdict == CaptureShake::Shaken && options.size > STRONG_SIDE {
+        shaken.is_strong = is_strong(context, tools, brightening)?;
+    }
     let told = format!("{} of {} views are shaken", shaken.count(), views.len());
     let done = match shaken.verdict() {
-        CaptureShake::Still => "one round of plain splatting, cameras as found",
-        CaptureShake::Soft => "trained on the views that the network deblurred, without kernels",
-        CaptureShake::Shaken => {
-            "blur kernels model their shake from the second round on, in images of at most 420 px"
+        CaptureShake::Still => "one round of plain splatting, cameras as found".to_owned(),
+        CaptureShake::Soft => {
+            "trained on the views that the network deblurred, without kernels".to_owned()
         }
+        CaptureShake::Shaken => format!(
+            "blur kernels model their shake from the second round on, in images of {} px",
+            shaken.size(options)
+        ),
     };
     context.sink.log(format!("{told}: {done}"));
     Ok(Some(shaken))
 }
 
-/// The options in effect for the rounds.
+/// Whether the shake of a shaken capture is strong, by smaller images: there it stands out of the
+/// noise.
+fn is_strong(
+    context: &mut Context<'_>,
+    tools: &mut Tools<'_>,
+    brightening: &Brightening,
+) -> Result<bool, PipelineError> {
+    let views = &brightening.target;
+    let mut enhanced = Vec::with_capacity(MOST_ASKED);
+    let mut deblurred = Vec::with_capacity(MOST_ASKED);
+    for view in views.iter().step_by(views.len().div_ceil(MOST_ASKED)) {
+        context.cancel.check()?;
+        let (width, height) = view.size_at_most(STRONG_SIDE as usize);
+        let small = view.resize_area(width, height);
+        deblurred.push(tools.deblurrer.restore(&small, None)?);
+        enhanced.push(small);
+    }
+    for warning in tools.deblurrer.take_warnings() {
+        context.sink.warn(Stage::Deblur.name(), warning);
+    }
+    let significances = significances(&enhanced, &deblurred, &brightening.last().response);
+    Ok(middle(significances) >= STRONG_FROM)
+}
+
+/// The options in effect for the rounds, of which a shaken capture has working images of `size`.
 ///
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
 /// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
 /// (docs/decisions/cameras.md). The images of a shaken capture are smaller, with as many Gaussians
 /// a pixel.
-pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
+pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
     let mut options = options.clone();
     match verdict {
         Some(CaptureShake::Still) => {
@@ -162,12 +196,12 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>) -> Options {
             options.steps = options.steps.saturating_mul(options.rounds);
         }
         Some(CaptureShake::Soft) => options.shake = ShakeModel::Off,
-        Some(CaptureShake::Shaken) if options.size > SHAKEN_SIDE => {
-            let area = (f64::from(SHAKEN_SIDE) / f64::from(options.size)).powi(2);
+        Some(CaptureShake::Shaken) => {
+            let area = (f64::from(size) / f64::from(options.size)).powi(2);
             options.cap = (f64::from(options.cap) * area).round() as u32;
-            options.size = SHAKEN_SIDE;
+            options.size = size;
         }
-        Some(CaptureShake::Shaken) | None => {}
+        None => {}
     }
     options
 }
@@ -183,14 +217,6 @@ mod tests {
     }
 
     #[test]
-    fn a_smaller_image_is_shaken_by_fewer_pixels() {
-        let at = [280, 420, 560].map(|side| at_size(TOLD_FROM, side));
-        assert!((0.98..1.26).contains(&at[0]), "fox, and the room of `fled synth`");
-        assert!((0.91..1.45).contains(&at[1]), "still and shaken cells");
-        assert!((1.33..1.66).contains(&at[2]), "still cells, and most shaken ones");
-    }
-
-    #[test]
     fn verdicts_need_three_fifths_shaken_or_a_soft_median() {
         assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
         assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
@@ -202,16 +228,25 @@ mod tests {
     #[test]
     fn shake_decides_the_rounds_of_a_capture() {
         let options = Options::default();
-        let still = in_effect(&options, Some(CaptureShake::Still));
+        let still = in_effect(&options, Some(CaptureShake::Still), 560);
         assert!(!still.refine_poses);
         assert_eq!(still.steps, options.steps * options.rounds);
-        let soft = in_effect(&options, Some(CaptureShake::Soft));
+        let soft = in_effect(&options, Some(CaptureShake::Soft), 560);
         assert_eq!(soft.shake, ShakeModel::Off);
-        let shaken = in_effect(&options, Some(CaptureShake::Shaken));
+        let shaken = in_effect(&options, Some(CaptureShake::Shaken), 420);
         assert_eq!(shaken, Options { size: 420, cap: 16_875, ..options.clone() });
-        let small = Options { size: 280, ..options.clone() };
-        assert_eq!(in_effect(&small, Some(CaptureShake::Shaken)), small);
-        assert_eq!(in_effect(&options, None), options);
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 560), options);
+        assert_eq!(in_effect(&options, None, 560), options);
+    }
+
+    #[test]
+    fn strong_shake_makes_smaller_images_than_weak() {
+        let sizes = |is_strong| {
+            let shaken = Shaken { is_strong, ..of(&[1.5]) };
+            [280, 560, 1120].map(|size| shaken.size(&Options { size, ..Options::default() }))
+        };
+        assert_eq!(sizes(false), [280, 560, 560]);
+        assert_eq!(sizes(true), [280, 420, 420]);
     }
 
     #[test]

@@ -189,6 +189,18 @@ fn a_halved_kernel_shakes_a_halved_image_alike() {
 }
 
 #[test]
+fn a_smaller_image_is_shaken_by_fewer_pixels() {
+    // The variance along the path is 2 px^2, across it 0.
+    let taps = [-2, 0, 2].map(|x| Tap { offset: [x, 0], weight: if x == 0 { 2.0 } else { 1.0 } });
+    let kernel = ShakeKernel::new(taps.to_vec());
+    let least = [280, 420, 560].map(|side| kernel.elongation() / kernel.significance(side));
+    assert!((kernel.elongation() - 2_f64.sqrt()).abs() < 1e-6);
+    assert!((0.98..1.26).contains(&least[0]), "fox, and the room of `fled synth`");
+    assert!((0.91..1.45).contains(&least[1]), "still and shaken cells");
+    assert!((1.33..1.66).contains(&least[2]), "still cells, and most shaken ones");
+}
+
+#[test]
 fn uninformative_images_have_no_shake() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
     assert_eq!(estimate(&flat, &flat, &Response::srgb()), ShakeKernel::still());

@@ -82,6 +82,7 @@ impl Job {
             rounds: self.options.rounds,
             views: self.names.len() as u32,
             shake: None,
+            size: None,
         });
         match self.plan.as_str() {
             "few_poses" => {

@@ -33,7 +33,7 @@ pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> V
         let shaken = shaken_image(render, &kernel, response);
         Likeness {
             shake_px: kernel.spread(),
-            is_shaken: kernel.tells(),
+            is_shaken: kernel.significance(view.width().max(view.height())) >= 1.0,
             psnr_cc_db: metrics::psnr_colour_corrected(&shaken, view),
             fit: metrics::correlation(&shaken, view),
         }

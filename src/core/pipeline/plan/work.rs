@@ -66,15 +66,6 @@ const GROWTH: (f64, f64) = (0.05, 0.425);
 /// Work of some parts, s.
 pub type Work = Vec<(Part, f64)>;
 
-/// Pixels of all photographs at their working size.
-#[derive(Clone, Copy, Debug)]
-pub struct Pixels {
-    /// By the options.
-    pub asked: usize,
-    /// If the capture is found shaken.
-    pub shaken: usize,
-}
-
 /// The facts that decide the work of a run.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -83,10 +74,8 @@ pub struct Job {
     options: Options,
     rounds: u32,
     views: f64,
-    /// Mean of a view.
+    /// Mean of a working image.
     megapixels: f64,
-    /// If the capture is found shaken.
-    shaken_megapixels: f64,
     /// Photographs and pairs of them that structure from motion counts, once it has told.
     pairs: Option<u64>,
     /// Views with a kernel in the next round, once a round has told.
@@ -94,29 +83,32 @@ pub struct Job {
 }
 
 impl Job {
-    /// A run over `views` photographs.
-    pub fn new(options: &Options, views: usize, pixels: Pixels) -> Self {
-        let mean = |pixels: usize| pixels as f64 / 1e6 / views.max(1) as f64;
+    /// A run over `views` photographs, which have so many pixels in all at the size asked for.
+    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
         Self {
             asked: options.clone(),
             options: options.clone(),
             rounds: options.rounds,
             views: views as f64,
-            megapixels: mean(pixels.asked),
-            shaken_megapixels: mean(pixels.shaken),
+            megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
             pairs: None,
             kernels: None,
         }
     }
 
-    /// Another number of rounds or views, or a verdict on the shake.
-    pub fn replan(&mut self, rounds: u32, views: u32, shake: Option<CaptureShake>) {
+    /// Another number of rounds or views, a verdict on the shake, or another size.
+    pub fn replan(
+        &mut self,
+        rounds: u32,
+        views: u32,
+        shake: Option<CaptureShake>,
+        size: Option<u32>,
+    ) {
         (self.rounds, self.views) = (rounds, f64::from(views));
         if shake.is_some() {
-            self.options = shaken::in_effect(&self.asked, shake);
-        }
-        if shake == Some(CaptureShake::Shaken) {
-            self.megapixels = self.shaken_megapixels;
+            let before = self.options.size;
+            self.options = shaken::in_effect(&self.asked, shake, size.unwrap_or(before));
+            self.megapixels *= (f64::from(self.options.size) / f64::from(before)).powi(2);
         }
     }
 
