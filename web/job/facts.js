@@ -43,7 +43,7 @@ function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   const ways = {
     still: ", so the run uses plain splatting",
     soft: ", and most are slightly soft, so the scene is trained on the views that the network deblurred",
-    shaken: ", so blur kernels model their shake, in images of at most 420 px",
+    shaken: ", so blur kernels model their shake",
   };
   return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
 }

@@ -24,8 +24,8 @@ pub struct Options {
     /// Optimiser steps per round.
     #[schemars(range(min = 1, max = 200_000))]
     pub steps: u32,
-    /// Longest side of the working images, px; never above the original, and at most 420 if the
-    /// capture is found shaken.
+    /// Longest side of the working images, px; never above the original. At most 560 if the capture
+    /// is found shaken, 420 if strongly.
     #[schemars(range(min = 64, max = 4096))]
     pub size: u32,
     /// Target brightness: `auto`, stops such as `+3.5EV`, or one of the paper's curves:
