@@ -16,7 +16,8 @@ use super::error::PipelineError;
 use super::restore::Restoration;
 use super::tools::Tools;
 use super::views::View;
-use crate::deblur::NetworkChoice;
+use crate::cancel::CancelToken;
+use crate::deblur::{NetworkChoice, Restorer};
 use crate::event::Stage;
 use crate::image::Image;
 use crate::metrics::CaptureShake;
@@ -68,6 +69,8 @@ pub struct Shaken {
     told: BTreeSet<String>,
     verdict: CaptureShake,
     is_strong: bool,
+    /// Longest side of all views, px; below the option for small photographs.
+    longest: u32,
 }
 
 impl Shaken {
@@ -84,7 +87,7 @@ impl Shaken {
         } else {
             CaptureShake::Still
         };
-        Self { told, verdict, is_strong: false }
+        Self { told, verdict, is_strong: false, longest: u32::MAX }
     }
 
     /// Whether this view is shaken.
@@ -102,7 +105,8 @@ impl Shaken {
 
     /// Longest side of the working images if the capture is shaken, px.
     pub fn size(&self, options: &Options) -> u32 {
-        options.size.min(if self.is_strong { STRONG_SIDE } else { SHAKEN_SIDE })
+        let most = if self.is_strong { STRONG_SIDE } else { SHAKEN_SIDE };
+        if self.longest <= most { options.size } else { options.size.min(most) }
     }
 }
 
@@ -140,8 +144,14 @@ pub fn shaken(
     let response = &brightening.last().response;
     let ratios = significances(&brightening.target, &deblurred, response);
     let mut shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
-    if shaken.verdict == CaptureShake::Shaken && options.size > STRONG_SIDE {
-        shaken.is_strong = is_strong(context, tools, brightening)?;
+    let sides = brightening.target.iter().map(|view| view.width().max(view.height()) as u32);
+    shaken.longest = sides.max().unwrap_or(0);
+    if shaken.verdict == CaptureShake::Shaken && shaken.longest > STRONG_SIDE {
+        let network = &mut *tools.deblurrer;
+        shaken.is_strong = is_strong(network, &brightening.target, response, context.cancel)?;
+        for warning in network.take_warnings() {
+            context.sink.warn(Stage::Deblur.name(), warning);
+        }
     }
     let told = format!("{} of {} views are shaken", shaken.count(), views.len());
     let done = match shaken.verdict() {
@@ -161,24 +171,21 @@ pub fn shaken(
 /// Whether the shake of a shaken capture is strong, by smaller images: there it stands out of the
 /// noise.
 fn is_strong(
-    context: &mut Context<'_>,
-    tools: &mut Tools<'_>,
-    brightening: &Brightening,
+    network: &mut dyn Restorer,
+    views: &[Image],
+    response: &Response,
+    cancel: &CancelToken,
 ) -> Result<bool, PipelineError> {
-    let views = &brightening.target;
     let mut enhanced = Vec::with_capacity(MOST_ASKED);
     let mut deblurred = Vec::with_capacity(MOST_ASKED);
     for view in views.iter().step_by(views.len().div_ceil(MOST_ASKED)) {
-        context.cancel.check()?;
+        cancel.check()?;
         let (width, height) = view.size_at_most(STRONG_SIDE as usize);
         let small = view.resize_area(width, height);
-        deblurred.push(tools.deblurrer.restore(&small, None)?);
+        deblurred.push(network.restore(&small, None)?);
         enhanced.push(small);
     }
-    for warning in tools.deblurrer.take_warnings() {
-        context.sink.warn(Stage::Deblur.name(), warning);
-    }
-    let significances = significances(&enhanced, &deblurred, &brightening.last().response);
+    let significances = significances(&enhanced, &deblurred, response);
     Ok(middle(significances) >= STRONG_FROM)
 }
 
@@ -209,6 +216,22 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::deblur::{DeblurError, RestorerInfo};
+    use crate::shake::reference::shaken_image;
+    use crate::shake::{ShakeKernel, Tap};
+
+    /// Knows the sharp image.
+    struct Perfect(Image);
+
+    impl Restorer for Perfect {
+        fn restore(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
+            Ok(self.0.resize_area(blurry.width(), blurry.height()))
+        }
+
+        fn describe(&self) -> RestorerInfo {
+            unreachable!("nothing is reported")
+        }
+    }
 
     /// Views with these ratios.
     fn of(ratios: &[f64]) -> Shaken {
@@ -247,6 +270,29 @@ mod tests {
         };
         assert_eq!(sizes(false), [280, 560, 560]);
         assert_eq!(sizes(true), [280, 420, 420]);
+        let small = Shaken { longest: 500, ..of(&[1.5]) };
+        let options = Options { size: 1120, ..Options::default() };
+        assert_eq!(small.size(&options), 1120, "its images stay as they are, and their Gaussians");
+    }
+
+    #[test]
+    fn a_shake_is_strong_by_its_length_in_smaller_images() {
+        let (width, height) = (560, 420);
+        let value = |at: usize| {
+            let (x, y) = (at % width, at / width % height);
+            ((x / 9 * 31 + y / 7 * 17 + at / (width * height) * 5) % 11) as f32 / 11.0
+        };
+        let planes = (0..3 * width * height).map(value).collect();
+        let sharp = Image::from_planar(width, height, planes);
+        let is_long = |reach: i32| {
+            let taps = (-reach..=reach).map(|x| Tap { offset: [x, 0], weight: 1.0 }).collect();
+            let view = shaken_image(&sharp, &ShakeKernel::new(taps), &Response::srgb());
+            let network = &mut Perfect(sharp.clone());
+            is_strong(network, &[view], &Response::srgb(), &CancelToken::new())
+        };
+        // A path of 2 n + 1 px has an elongation of the square root of n (n + 1) / 3 px.
+        assert!(!is_long(2).expect("no failure"), "1.4 px, 1.1 px of 420");
+        assert!(is_long(5).expect("no failure"), "3.2 px, 2.4 px of 420");
     }
 
     #[test]
