@@ -24,14 +24,14 @@ use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response, Sampling};
 
-/// The median significance from which the network compensates for a shake
-/// that is too small for kernels.
+/// The median significance from which the network compensates for a shake that is too small for
+/// kernels.
 const SOFT_FROM: f64 = 0.57;
-/// Longest side of the working images of a shaken capture, px. Shake leaves no detail for larger
-/// ones, but each of their pixels is as noisy: scenes of larger images are worse at any size
-/// (docs/decisions/shake.md).
+/// Longest side of the working images of a shaken capture, px: better than 420 px under weak shake.
+/// Larger ones were not compared.
 const SHAKEN_SIDE: u32 = 560;
-/// The same of a strongly shaken one.
+/// The same of a strongly shaken one. Shake leaves no detail for larger images, but each of their
+/// pixels is as noisy: scenes of 560 px are worse at any size (docs/decisions/shake.md).
 const STRONG_SIDE: u32 = 420;
 /// The median significance in images of [`STRONG_SIDE`] from which a shake is strong.
 const STRONG_FROM: f64 = 1.25;
