@@ -1,8 +1,9 @@
 // One shaken pixel, all channels, an invocation.
-// Reads taps [taps] (dx, dy, weight, unused), response [256], light [H, W]. Writes blurred [3, H,
-// W] and factor [H, W] (derivative of blurred by the weighted sum of light). Dispatch: H W.
-// blurred(p) = response(sum_u k_u light(p - u) / sum_u k_u), u over the taps with p - u inside the
-// image.
+// Reads taps [2 taps] (weights of three cells and dx, those of the other three and dy), response
+// [256], light [H, W]. Writes blurred [3, H, W] and factor [H, W] (derivative of blurred by the
+// weighted sum of light). Dispatch: H W.
+// blurred(p) = response(sum_u k_u(p) light(p - u) / sum_u k_u(p)), u over the taps with p - u
+// inside the image.
 #import shared/grid.wgsl
 #import shared/shake.wgsl
 
@@ -42,12 +43,15 @@ fn main(
     }
     let here = vec2<i32>(i32(index % shake.width), i32(index / shake.width));
     let last = vec2<i32>(i32(shake.width), i32(shake.height)) - 1;
+    let cells = cells_at(here, last);
     var sum = vec3<f32>(0.0);
     var weights = 0.0;
     for (var n = 0u; n < shake.taps; n++) {
-        let place = here - vec2<i32>(taps[n].xy);
+        let first = taps[2u * n];
+        let second = taps[2u * n + 1u];
+        let place = here - vec2<i32>(vec2<f32>(first.w, second.w));
         let held = clamp(place, vec2<i32>(0), last);
-        let weight = select(0.0, taps[n].z, all(place == held));
+        let weight = select(0.0, weight_in(cells, first.xyz, second.xyz), all(place == held));
         let at = u32(held.y) * shake.width + u32(held.x);
         sum += weight * light[at].xyz;
         weights += weight;

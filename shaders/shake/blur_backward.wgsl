@@ -1,7 +1,8 @@
 // The derivative of the loss by one pixel of the render, all channels, an invocation.
-// Reads taps [taps], response [256], scaled [H, W] (derivative by the weighted sums), render [3, H,
-// W]. Writes render_gradient [3, H, W]. Dispatch: H W.
-// dL/drender(q) = (f^-1)'(render(q)) sum_u k_u scaled(q + u) + w sum_n d_n / sqrt(d_n^2 + BEND^2),
+// Reads taps [2 taps], response [256], scaled [H, W] (derivative by the weighted sums), render
+// [3, H, W]. Writes render_gradient [3, H, W]. Dispatch: H W.
+// dL/drender(q) = (f^-1)'(render(q)) sum_u k_u(q + u) scaled(q + u)
+//     + w sum_n d_n / sqrt(d_n^2 + BEND^2),
 // u over the taps with q + u inside, d_n the differences to the neighbours of q, f the response.
 #import shared/grid.wgsl
 #import shared/shake.wgsl
@@ -46,9 +47,12 @@ fn main(
     let last = vec2<i32>(i32(shake.width), i32(shake.height)) - 1;
     var sum = vec3<f32>(0.0);
     for (var n = 0u; n < shake.taps; n++) {
-        let place = here + vec2<i32>(taps[n].xy);
+        let first = taps[2u * n];
+        let second = taps[2u * n + 1u];
+        let place = here + vec2<i32>(vec2<f32>(first.w, second.w));
         let held = clamp(place, vec2<i32>(0), last);
-        let weight = select(0.0, taps[n].z, all(place == held));
+        let there = weight_in(cells_at(held, last), first.xyz, second.xyz);
+        let weight = select(0.0, there, all(place == held));
         let at = u32(held.y) * shake.width + u32(held.x);
         sum += weight * scaled[at].xyz;
     }

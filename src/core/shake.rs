@@ -19,13 +19,18 @@ use std::collections::BTreeMap;
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
 pub use denoise::denoised;
-pub use estimate::{Sampling, estimate};
+pub use estimate::{estimate, estimate_by_cells};
 use kernels::ShakeUniform;
 pub use response::Response;
 pub use saved::{parse, save};
 
 /// Most taps of a kernel on the device; beyond these, the smallest are dropped.
-pub const MOST_TAPS: usize = 96;
+pub const MOST_TAPS: usize = 160;
+
+/// Cells of a kernel along the longer side of its image.
+const ALONG: usize = 3;
+/// All cells of a kernel; two lie along the shorter side.
+pub const CELLS: usize = 2 * ALONG;
 
 /// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error.
 /// Without it, detail that the shake hides from every view is unconstrained: it grows into
@@ -45,11 +50,45 @@ const TELLS_SIDE: f64 = 560.0;
 pub struct Tap {
     /// Offset, px.
     pub offset: [i32; 2],
-    /// Share of the light; positive, all taps sum to 1.
-    pub weight: f32,
+    /// Share of the light in each cell, not negative; in each cell all taps sum to 1. Three cells
+    /// along the longer side of the image come first, then the three below or right of them.
+    pub weights: [f32; CELLS],
 }
 
-/// The shake of one photograph: a blur of its light, the same over the whole image.
+impl Tap {
+    /// A tap that is the same in all cells.
+    pub fn even(offset: [i32; 2], weight: f32) -> Self {
+        Self { offset, weights: [weight; CELLS] }
+    }
+
+    /// Mean share of the light over the cells.
+    pub fn weight(&self) -> f32 {
+        self.weights.iter().sum::<f32>() / CELLS as f32
+    }
+
+    /// Largest share of the light in a cell.
+    fn most(&self) -> f32 {
+        self.weights.iter().copied().fold(0.0, f32::max)
+    }
+
+    /// Share of the light that arrives at a pixel of an image of `size` = [width, height] px,
+    /// linear between the middles of the cells.
+    pub fn weight_at(&self, pixel: [usize; 2], size: [usize; 2]) -> f64 {
+        let (long, short) = if size[0] >= size[1] { (0, 1) } else { (1, 0) };
+        let place = |axis: usize, cells: usize| {
+            let share = (pixel[axis] as f64 + 0.5) / size[axis] as f64;
+            (share * cells as f64 - 0.5).clamp(0.0, (cells - 1) as f64)
+        };
+        let (along, across) = (place(long, ALONG), place(short, CELLS / ALONG));
+        let near = |at: f64, cell: usize| (1.0 - (at - cell as f64).abs()).max(0.0);
+        let term = |(cell, weight): (usize, &f32)| {
+            near(along, cell % ALONG) * near(across, cell / ALONG) * f64::from(*weight)
+        };
+        self.weights.iter().enumerate().map(term).sum()
+    }
+}
+
+/// The shake of one photograph: a blur of its light that varies slowly over the image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShakeKernel {
     taps: Vec<Tap>,
@@ -58,19 +97,25 @@ pub struct ShakeKernel {
 impl ShakeKernel {
     /// No shake.
     pub fn still() -> Self {
-        Self { taps: vec![Tap { offset: [0, 0], weight: 1.0 }] }
+        Self { taps: vec![Tap::even([0, 0], 1.0)] }
     }
 
-    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] without any.
+    /// The largest [`MOST_TAPS`] taps, normalised in each cell; [`ShakeKernel::still`] if a cell
+    /// has none.
     pub fn new(mut taps: Vec<Tap>) -> Self {
-        taps.retain(|tap| tap.weight.is_finite() && tap.weight > 0.0);
-        taps.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.offset.cmp(&b.offset)));
+        taps.retain(|tap| {
+            tap.weights.iter().all(|w| w.is_finite() && *w >= 0.0) && tap.most() > 0.0
+        });
+        taps.sort_by(|a, b| b.most().total_cmp(&a.most()).then(a.offset.cmp(&b.offset)));
         taps.truncate(MOST_TAPS);
-        let sum: f32 = taps.iter().map(|tap| tap.weight).sum();
-        if !(sum.is_finite() && sum > 0.0) {
+        let sums: [f32; CELLS] =
+            std::array::from_fn(|cell| taps.iter().map(|tap| tap.weights[cell]).sum());
+        if !sums.iter().all(|sum| sum.is_finite() && *sum > 0.0) {
             return Self::still();
         }
-        taps.iter_mut().for_each(|tap| tap.weight /= sum);
+        for tap in &mut taps {
+            tap.weights.iter_mut().zip(sums).for_each(|(weight, sum)| *weight /= sum);
+        }
         Self { taps }
     }
 
@@ -82,7 +127,7 @@ impl ShakeKernel {
     /// Mean offset of the light, px.
     pub fn centroid(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
-            self.taps.iter().map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis])).sum()
+            self.taps.iter().map(|tap| f64::from(tap.weight()) * f64::from(tap.offset[axis])).sum()
         })
     }
 
@@ -92,7 +137,7 @@ impl ShakeKernel {
         let squared = |tap: &Tap| {
             (0..2).map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2)).sum::<f64>()
         };
-        self.taps.iter().map(|tap| f64::from(tap.weight) * squared(tap)).sum::<f64>().sqrt()
+        self.taps.iter().map(|tap| f64::from(tap.weight()) * squared(tap)).sum::<f64>().sqrt()
     }
 
     /// The square root of the difference of the light's variances along and across the kernel, px.
@@ -103,7 +148,7 @@ impl ShakeKernel {
         let moment = |one: usize, other: usize| -> f64 {
             let term = |tap: &Tap| {
                 let away = |axis: usize| f64::from(tap.offset[axis]) - centre[axis];
-                f64::from(tap.weight) * away(one) * away(other)
+                f64::from(tap.weight()) * away(one) * away(other)
             };
             self.taps.iter().map(term).sum()
         };
@@ -121,37 +166,46 @@ impl ShakeKernel {
     /// The kernel of the image at half the size.
     #[must_use]
     pub fn halved(&self) -> Self {
-        let mut taps: BTreeMap<[i32; 2], f32> = BTreeMap::new();
+        let mut taps: BTreeMap<[i32; 2], [f32; CELLS]> = BTreeMap::new();
         for tap in &self.taps {
             // An odd offset lies between two pixels of the smaller image.
             for [dx, dy] in [[0, 0], [0, 1], [1, 0], [1, 1]] {
                 let offset = [tap.offset[0] + dx, tap.offset[1] + dy].map(|o| o.div_euclid(2));
-                *taps.entry(offset).or_default() += 0.25 * tap.weight;
+                add(taps.entry(offset).or_default(), tap, 0.25);
             }
         }
         let taps = taps.into_iter();
-        Self::new(taps.map(|(offset, weight)| Tap { offset, weight }).collect())
+        Self::new(taps.map(|(offset, weights)| Tap { offset, weights }).collect())
     }
 
     /// The kernel of the image at twice the size: each tap becomes a tent of nine.
     #[must_use]
     fn doubled(&self) -> Self {
-        let mut taps: BTreeMap<[i32; 2], f32> = BTreeMap::new();
+        let mut taps: BTreeMap<[i32; 2], [f32; CELLS]> = BTreeMap::new();
         let share = |away: i32| if away == 0 { 0.5 } else { 0.25 };
         for tap in &self.taps {
             for (dx, dy) in (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (dx, dy))) {
                 let offset = [2 * tap.offset[0] + dx, 2 * tap.offset[1] + dy];
-                *taps.entry(offset).or_default() += share(dx) * share(dy) * tap.weight;
+                add(taps.entry(offset).or_default(), tap, share(dx) * share(dy));
             }
         }
         let taps = taps.into_iter();
-        Self::new(taps.map(|(offset, weight)| Tap { offset, weight }).collect())
+        Self::new(taps.map(|(offset, weights)| Tap { offset, weights }).collect())
     }
 
+    /// Two rows a tap: the weights of three cells each, then one of its offsets.
     fn rows(&self) -> Vec<[f32; 4]> {
-        let row = |tap: &Tap| [tap.offset[0] as f32, tap.offset[1] as f32, tap.weight, 0.0];
-        self.taps.iter().map(row).collect()
+        let rows = |tap: &Tap| {
+            let [a, b, c, d, e, f] = tap.weights;
+            let [x, y] = tap.offset.map(|o| o as f32);
+            [[a, b, c, x], [d, e, f, y]]
+        };
+        self.taps.iter().flat_map(rows).collect()
     }
+}
+
+fn add(weights: &mut [f32; CELLS], tap: &Tap, share: f32) {
+    weights.iter_mut().zip(tap.weights).for_each(|(sum, weight)| *sum += share * weight);
 }
 
 /// Applies shake to renders on the device: the views' common [`Response`], and the state between
@@ -182,7 +236,7 @@ impl DeviceKernel {
         Ok(Self {
             kernel: ShakeKernel::still(),
             uniform: gpu.create("shake", 1)?,
-            taps: gpu.create("shake taps", MOST_TAPS)?,
+            taps: gpu.create("shake taps", 2 * MOST_TAPS)?,
             pixels: 0,
         })
     }

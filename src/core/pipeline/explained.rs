@@ -142,7 +142,7 @@ mod tests {
     }
 
     fn along_x(image: &Image) -> Image {
-        let tap = |x| Tap { offset: [x, 0], weight: 1.0 / 9.0 };
+        let tap = |x| Tap::even([x, 0], 1.0 / 9.0);
         let kernel = ShakeKernel::new((-4..=4).map(tap).collect());
         shaken_image(image, &kernel, &Response::srgb())
     }

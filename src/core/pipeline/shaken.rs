@@ -22,7 +22,7 @@ use crate::event::Stage;
 use crate::image::Image;
 use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
-use crate::shake::{self, Response, Sampling};
+use crate::shake::{self, Response};
 
 /// The median significance from which the network compensates for a shake that is too small for
 /// kernels.
@@ -43,7 +43,7 @@ pub const SHAKEN_SHARE: f64 = 0.6;
 /// For each view, the significance of the kernel from its deblurred image back to it.
 fn significances(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
     let of = |(view, sharper): (&Image, &Image)| {
-        let kernel = shake::estimate(sharper, view, response, Sampling::Fine);
+        let kernel = shake::estimate(sharper, view, response);
         kernel.significance(view.width().max(view.height()))
     };
     enhanced.par_iter().zip(deblurred).map(of).collect()
@@ -285,7 +285,7 @@ mod tests {
         let planes = (0..3 * width * height).map(value).collect();
         let sharp = Image::from_planar(width, height, planes);
         let is_long = |reach: i32| {
-            let taps = (-reach..=reach).map(|x| Tap { offset: [x, 0], weight: 1.0 }).collect();
+            let taps = (-reach..=reach).map(|x| Tap::even([x, 0], 1.0)).collect();
             let view = shaken_image(&sharp, &ShakeKernel::new(taps), &Response::srgb());
             let network = &mut Perfect(sharp.clone());
             is_strong(network, &[view], &Response::srgb(), &CancelToken::new())

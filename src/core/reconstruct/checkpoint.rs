@@ -8,7 +8,7 @@ use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 7;
+const VERSION: u32 = 8;
 
 /// Number of arrays in a checkpoint.
 const ARRAYS: usize = 7;
@@ -236,7 +236,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 8"));
+        assert!(refused(&newer).starts_with("version 9"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not match");

@@ -14,7 +14,7 @@ use crate::image::Image;
 use crate::metrics::psnr;
 use crate::noise::NoiseMode;
 use crate::register;
-use crate::shake::{self, Sampling};
+use crate::shake;
 use crate::splat::fixtures::{self, Random};
 use crate::splat::project::Projection;
 use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
@@ -383,7 +383,7 @@ fn host_times() {
         let [photograph, probed @ ..] = &moved[..] else { panic!("seven") };
         let probed: [Image; 6] = probed.to_vec().try_into().expect("six");
         best(&format!("a kernel at {width}x{height}"), &mut || {
-            shake::estimate(&seen, photograph, &Response::srgb(), Sampling::Coarse);
+            shake::estimate_by_cells(&seen, photograph, &Response::srgb());
         });
         let probes = register::probes(&camera_at(0.0, width, height), 3.0);
         best(&format!("a camera at {width}x{height}"), &mut || {

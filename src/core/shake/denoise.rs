@@ -6,7 +6,7 @@
 //! (Lee, "Digital Image Enhancement and Noise Filtering by Use of Local Statistics", 1980).
 
 use super::reference::shaken_image;
-use super::{Response, Sampling, estimate};
+use super::{Response, estimate};
 use crate::image::Image;
 
 /// Levels of brightness, each with noise of its own: brightening makes dark parts the noisiest.
@@ -27,7 +27,7 @@ const MEDIAN: f32 = 0.6745;
 /// The `photograph` with less noise and all of its shake. `deblurred` is the same photograph
 /// without shake; both have one size and are encoded by `response`.
 pub fn denoised(photograph: &Image, deblurred: &Image, response: &Response) -> Image {
-    let kernel = estimate(deblurred, photograph, response, Sampling::Fine);
+    let kernel = estimate(deblurred, photograph, response);
     let mut clean = shaken_image(deblurred, &kernel, response);
     let values = photograph.data().iter().zip(clean.data());
     let rest: Vec<f32> = values.map(|(photograph, clean)| photograph - clean).collect();

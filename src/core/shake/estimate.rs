@@ -5,7 +5,7 @@
 
 use crate::image::Image;
 
-use super::{Response, ShakeKernel, Tap};
+use super::{ALONG, CELLS, Response, ShakeKernel, Tap};
 
 /// Half of the kernel's side, as a share of the image's longer side: 11 px at 560. COLMAP does not
 /// match photographs with more shake either.
@@ -38,25 +38,13 @@ const SMALLEST_TAP: f32 = 0.1;
 /// number.
 const ITERATIONS: usize = 200;
 
-/// The share of the pixels in an estimate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sampling {
-    /// For a training that solves for the kernel again: as near to the true kernel in half of the
-    /// time.
-    Coarse,
-    /// For a verdict by the elongation, which is less certain otherwise (docs/decisions/shake.md).
-    Fine,
-}
-
-impl Sampling {
-    /// Approximate number of pixels; larger images contribute every n-th row.
-    fn pixels(self) -> usize {
-        match self {
-            Self::Coarse => 30_000,
-            Self::Fine => 60_000,
-        }
-    }
-}
+/// Approximate number of pixels in the estimate of one kernel for the whole image: its elongation
+/// is less certain from fewer (docs/decisions/shake.md). Larger images contribute every n-th row.
+const PIXELS: usize = 60_000;
+/// The same for the kernels of all cells.
+const CELLS_PIXELS: usize = 120_000;
+/// Share of the whole image in the evidence for a cell, which may have few edges of its own.
+const SHARED: f64 = 0.25;
 
 /// Reach of a kernel from its centre, px, for images with this longer side.
 fn reach(longer_side: usize) -> usize {
@@ -64,21 +52,34 @@ fn reach(longer_side: usize) -> usize {
 }
 
 /// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
-/// with taps up to 2 % of the longer side from its centre. Still if the images are too small or too
-/// flat for an estimate.
-pub fn estimate(
-    render: &Image,
-    photograph: &Image,
+/// with taps up to 2 % of the longer side from its centre; the same in all cells. Still if the
+/// images are too small or too flat for an estimate.
+pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+    estimated([render, photograph], response, &[Part::WHOLE], PIXELS)
+}
+
+/// [`estimate`], but a kernel for each cell: when the camera turns about its line of sight, every
+/// corner of the image moves in a direction of its own.
+pub fn estimate_by_cells(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+    let is_wide = render.width() >= render.height();
+    let cells: [Part; CELLS] = std::array::from_fn(|cell| Part::of_cell(cell, is_wide));
+    estimated([render, photograph], response, &cells, CELLS_PIXELS)
+}
+
+/// The kernel with one estimate for all cells, or with one for each.
+fn estimated(
+    [render, photograph]: [&Image; 2],
     response: &Response,
-    sampling: Sampling,
+    parts: &[Part],
+    pixels: usize,
 ) -> ShakeKernel {
     if render.width().max(render.height()) > LARGEST_SIDE {
         let [render, photograph] = [render, photograph].map(halved);
-        let kernel = estimate(&render, &photograph, response, sampling);
+        let kernel = estimated([&render, &photograph], response, parts, pixels);
         return without_faint_taps(&kernel.doubled());
     }
     let [from, to] = [render, photograph].map(|image| Light::of(image, response));
-    solved(&from, &to, sampling.pixels())
+    solved(&from, &to, parts, pixels)
 }
 
 /// The means of four pixels each, without an odd last row or column. Of encoded values: the means
@@ -100,54 +101,118 @@ fn halved(image: &Image) -> Image {
 }
 
 fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
-    let least = SMALLEST_TAP * kernel.taps().first().map_or(0.0, |tap| tap.weight);
-    let taps = kernel.taps().iter().filter(|tap| tap.weight >= least);
+    let least = SMALLEST_TAP * kernel.taps().first().map_or(0.0, Tap::most);
+    let taps = kernel.taps().iter().filter(|tap| tap.most() >= least);
     ShakeKernel::new(taps.copied().collect())
 }
 
 /// The kernel that turns the light of a render into that of its photograph, from about so many
 /// pixels.
-fn solved(from: &Light, to: &Light, pixels: usize) -> ShakeKernel {
+fn solved(from: &Light, to: &Light, parts: &[Part], pixels: usize) -> ShakeKernel {
     let reach = reach(from.longer_side());
     if from.width.min(from.height) <= 4 * reach + 2 {
         return ShakeKernel::still();
     }
-    let longer = from.longer_side() as f64;
+    let price = FAR * (FAR_SIDE / from.longer_side() as f64).min(1.0).powi(2);
     let (from, to) = (from.derivatives(), to.derivatives());
-    let square = 2 * reach + 1;
-    let own = Correlation::new(&from, &from, 2 * reach, pixels);
-    let wanted = Correlation::new(&to, &from, reach, pixels);
-    let scale = own.at(0, 0);
+    let of_part = |part: &Part| Evidence {
+        own: Correlation::new(&from, &from, 2 * reach, pixels, part),
+        wanted: Correlation::new(&to, &from, reach, pixels, part),
+    };
+    let evidence: Vec<Evidence> = parts.iter().map(of_part).collect();
+    let whole = Evidence::mean(&evidence);
+    let scale = whole.own.at(0, 0);
     if !(scale.is_finite() && scale > 1e-12) {
         return ShakeKernel::still();
     }
-    let price = FAR * (FAR_SIDE / longer).min(1.0).powi(2);
-    let offset = |tap: usize| {
-        let (x, y) = (tap % square, tap / square);
-        [x as i32 - reach as i32, y as i32 - reach as i32]
+    let weights: Vec<Vec<f32>> =
+        evidence.iter().map(|own| own.with_share_of(&whole).weights(price)).collect();
+    let tap = |at: usize| Tap {
+        offset: offset(at, reach),
+        weights: std::array::from_fn(|cell| weights[cell % weights.len()][at]),
     };
-    let count = square * square;
-    let mut matrix = vec![0.0_f32; count * count];
-    for (row, values) in matrix.chunks_exact_mut(count).enumerate() {
-        let u = offset(row);
-        for (column, value) in values.iter_mut().enumerate() {
-            let v = offset(column);
-            let centred = CENTRED * f64::from(u[0] * v[0] + u[1] * v[1]);
-            let ridge = if row == column { RIDGE } else { 0.0 };
-            *value = (own.at(u[0] - v[0], u[1] - v[1]) / scale + centred + ridge) as f32;
-        }
+    ShakeKernel::new((0..weights[0].len()).map(tap).collect())
+}
+
+/// The offset of a tap, px, in a kernel of this reach.
+fn offset(tap: usize, reach: usize) -> [i32; 2] {
+    let (x, y) = (tap % (2 * reach + 1), tap / (2 * reach + 1));
+    [x as i32 - reach as i32, y as i32 - reach as i32]
+}
+
+/// A part of an image, in shares of its sides.
+struct Part {
+    x: [f64; 2],
+    y: [f64; 2],
+}
+
+impl Part {
+    const WHOLE: Self = Self { x: [0.0, 1.0], y: [0.0, 1.0] };
+
+    fn of_cell(cell: usize, is_wide: bool) -> Self {
+        let part = |at: usize, cells: usize| [at, at + 1].map(|at| at as f64 / cells as f64);
+        let (along, across) = (part(cell % ALONG, ALONG), part(cell / ALONG, CELLS / ALONG));
+        let (x, y) = if is_wide { (along, across) } else { (across, along) };
+        Self { x, y }
     }
-    let right: Vec<f32> = (0..count)
-        .map(|tap| {
-            let [x, y] = offset(tap);
-            let far = price * f64::from(x * x + y * y);
-            (wanted.at(x, y) / scale - far) as f32
-        })
-        .collect();
-    let weights = non_negative_least_squares(&matrix, &right);
-    let most = weights.iter().copied().fold(0.0, f32::max);
-    let taps = weights.iter().enumerate().filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
-    ShakeKernel::new(taps.map(|(tap, &weight)| Tap { offset: offset(tap), weight }).collect())
+}
+
+/// The facts that decide the kernel of a part: the derivatives of the render correlated with
+/// themselves, and those of the photograph correlated with them.
+struct Evidence {
+    own: Correlation,
+    wanted: Correlation,
+}
+
+impl Evidence {
+    fn mean(all: &[Self]) -> Self {
+        let mean = |of: fn(&Self) -> &Correlation| {
+            let mut mean = of(&all[0]).clone();
+            for (at, value) in mean.values.iter_mut().enumerate() {
+                let sum: f64 = all.iter().map(|one| of(one).values[at]).sum();
+                *value = sum / all.len() as f64;
+            }
+            mean
+        };
+        Self { own: mean(|one| &one.own), wanted: mean(|one| &one.wanted) }
+    }
+
+    fn with_share_of(&self, whole: &Self) -> Self {
+        let mixed = |own: &Correlation, whole: &Correlation| Correlation {
+            values: { own.values.iter().zip(&whole.values) }
+                .map(|(own, whole)| own + SHARED * (whole - own))
+                .collect(),
+            ..*own
+        };
+        Self { own: mixed(&self.own, &whole.own), wanted: mixed(&self.wanted, &whole.wanted) }
+    }
+
+    /// The weights of the taps, without faint ones.
+    fn weights(&self, price: f64) -> Vec<f32> {
+        let (reach, scale) = (self.wanted.reach, self.own.at(0, 0));
+        let count = (2 * reach + 1).pow(2);
+        let mut matrix = vec![0.0_f32; count * count];
+        for (row, values) in matrix.chunks_exact_mut(count).enumerate() {
+            let u = offset(row, reach);
+            for (column, value) in values.iter_mut().enumerate() {
+                let v = offset(column, reach);
+                let centred = CENTRED * f64::from(u[0] * v[0] + u[1] * v[1]);
+                let ridge = if row == column { RIDGE } else { 0.0 };
+                *value = (self.own.at(u[0] - v[0], u[1] - v[1]) / scale + centred + ridge) as f32;
+            }
+        }
+        let right: Vec<f32> = (0..count)
+            .map(|tap| {
+                let [x, y] = offset(tap, reach);
+                let far = price * f64::from(x * x + y * y);
+                (self.wanted.at(x, y) / scale - far) as f32
+            })
+            .collect();
+        let mut weights = non_negative_least_squares(&matrix, &right);
+        let least = SMALLEST_TAP * weights.iter().copied().fold(0.0, f32::max);
+        weights.iter_mut().filter(|weight| **weight < least).for_each(|weight| *weight = 0.0);
+        weights
+    }
 }
 
 /// The mean light of the three channels.
@@ -189,26 +254,32 @@ struct Derivatives {
     planes: [Vec<f32>; 2],
 }
 
-/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels where all terms exist.
+/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels of a part where all terms
+/// exist.
+#[derive(Clone)]
 struct Correlation {
-    reach: i32,
+    reach: usize,
     values: Vec<f64>,
 }
 
 impl Correlation {
-    fn new(a: &Derivatives, b: &Derivatives, reach: usize, most: usize) -> Self {
+    fn new(a: &Derivatives, b: &Derivatives, reach: usize, most: usize, part: &Part) -> Self {
         // The last row and column have no differences.
-        let (left, right, bottom) = (reach, a.width - 1 - reach, a.height - 1 - reach);
+        let place = |share: f64, side: usize| {
+            ((share * side as f64).round() as usize).clamp(reach, side - 1 - reach)
+        };
+        let [left, right] = part.x.map(|x| place(x, a.width));
+        let [top, bottom] = part.y.map(|y| place(y, a.height));
         let square = 2 * reach + 1;
         let mut values = vec![0.0; square * square];
         let stride = (a.width * a.height).div_ceil(most);
-        let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
+        let pixels = 2 * (right - left) * (bottom - top).div_ceil(stride);
         // A correlation with itself is symmetric: half of it suffices.
         let alike = std::ptr::eq(a, b);
         let needed = if alike { square * square / 2 + 1 } else { square * square };
         // All offsets of a row come before the next row: few rows at a time stay in the cache.
         for (one, other) in a.planes.iter().zip(&b.planes) {
-            for y in (reach..bottom).step_by(stride) {
+            for y in (top..bottom).step_by(stride) {
                 let row = &one[y * a.width + left..y * a.width + right];
                 for (at, value) in values.iter_mut().enumerate().take(needed) {
                     // u = at - reach, so p - u = p + reach - at.
@@ -222,12 +293,12 @@ impl Correlation {
         for at in needed..square * square {
             values[at] = values[square * square - 1 - at];
         }
-        Self { reach: reach as i32, values }
+        Self { reach, values }
     }
 
     fn at(&self, x: i32, y: i32) -> f64 {
-        let square = 2 * self.reach + 1;
-        self.values[((y + self.reach) * square + x + self.reach) as usize]
+        let reach = self.reach as i32;
+        self.values[((y + reach) * (2 * reach + 1) + x + reach) as usize]
     }
 }
 

@@ -30,7 +30,10 @@ impl ReferenceShake<'_> {
                 let x = (from % width) as i64 + i64::from(tap.offset[0]);
                 let y = (from / width) as i64 + i64::from(tap.offset[1]);
                 let inside = (0..width as i64).contains(&x) && (0..height as i64).contains(&y);
-                inside.then(|| (from, y as usize * width + x as usize, f64::from(tap.weight)))
+                inside.then(|| {
+                    let to = [x as usize, y as usize];
+                    (from, to[1] * width + to[0], tap.weight_at(to, self.size))
+                })
             })
         })
     }

@@ -7,21 +7,32 @@ use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
 use crate::random::normal;
 
-/// An estimate as in training.
-fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
-    super::estimate(render, photograph, response, Sampling::Coarse)
-}
-
 /// An S of 15 taps with one heavier tap, so that it has no symmetry.
 fn curve() -> ShakeKernel {
     let tap = |n: i32| {
         let along = f64::from(n) / 7.0;
         let offset = [(5.0 * along).round() as i32, (2.0 * (3.0 * along).sin()).round() as i32];
-        Tap { offset, weight: if n == 3 { 2.0 } else { 1.0 } }
+        Tap::even(offset, if n == 3 { 2.0 } else { 1.0 })
     };
     let mut taps: Vec<Tap> = (-7..=7).map(tap).collect();
     taps.dedup_by_key(|tap| tap.offset);
     ShakeKernel::new(taps)
+}
+
+/// The shake of a camera that moves and turns about its line of sight: a line in each cell.
+fn turn() -> ShakeKernel {
+    let line = |cell: usize| {
+        let (x, y) = ((cell % ALONG) as f64 - 1.0, (cell / ALONG) as f64 - 0.5);
+        (-8..=8).map(move |n| {
+            let along = f64::from(n) / 2.0;
+            (cell, [along * (1.0 - 0.6 * y), along * 0.8 * x].map(|o| o.round() as i32))
+        })
+    };
+    let mut taps = BTreeMap::new();
+    for (cell, offset) in (0..CELLS).flat_map(line) {
+        taps.entry(offset).or_insert(Tap::even(offset, 0.0)).weights[cell] += 1.0;
+    }
+    ShakeKernel::new(taps.into_values().collect())
 }
 
 /// A curve like those of equalisation: steep in the dark, nearly flat above.
@@ -52,12 +63,16 @@ fn shaken(image: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
 }
 
 /// The shaken image and the gradient, each by the device and by the reference.
-fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 2] {
-    let (gpu, size) = (Gpu::new("auto").expect("the tests need a Vulkan adapter"), [61, 43]);
+fn compare(
+    kernel: &ShakeKernel,
+    response: &Response,
+    size: [usize; 2],
+) -> [(Vec<f32>, Vec<f64>); 2] {
+    let gpu = Gpu::new("auto").expect("the tests need a Vulkan adapter");
     let render = picture(size[0], size[1]);
     let upstream: Vec<f32> =
         (0..render.data().len()).map(|i| (0.37 * i as f32).sin() * 1e-3).collect();
-    let shake = Shake::new(&gpu, [64, 48], response).expect("buffers");
+    let shake = Shake::new(&gpu, [64, 64], response).expect("buffers");
     let mut view = DeviceKernel::new(&gpu).expect("buffers");
     shake.set(&mut view, size, kernel.clone()).expect("fits");
     let on_device = |values: &[f32]| gpu.upload("image", values).expect("uploaded");
@@ -77,8 +92,14 @@ fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 
 
 #[test]
 fn image_and_gradient_match_the_reference() {
-    for (kernel, response) in [(curve(), response()), (ShakeKernel::still(), Response::srgb())] {
-        let [image, gradient] = compare(&kernel, &response);
+    let cases = [
+        (curve(), response(), [61, 43]),
+        (ShakeKernel::still(), Response::srgb(), [61, 43]),
+        (turn(), response(), [61, 43]),
+        (turn(), response(), [43, 61]),
+    ];
+    for (kernel, response, size) in cases {
+        let [image, gradient] = compare(&kernel, &response, size);
         assert_agrees("image", &image.0, &image.1, 1e-5);
         assert_agrees("gradient", &gradient.0, &gradient.1, 1e-4);
     }
@@ -89,14 +110,14 @@ fn the_comparison_detects_a_mirrored_kernel() {
     let mirrored = |tap: &Tap| Tap { offset: tap.offset.map(|o| -o), ..*tap };
     let other = ShakeKernel::new(curve().taps().iter().map(mirrored).collect());
     let ([image, gradient], [wrong, wrong_gradient]) =
-        (compare(&curve(), &response()), compare(&other, &response()));
+        (compare(&curve(), &response(), [61, 43]), compare(&other, &response(), [61, 43]));
     assert!(!agreement(&image.0, &wrong.1).within(1e-3));
     assert!(!agreement(&gradient.0, &wrong_gradient.1).within(1e-2));
 }
 
 #[test]
 fn the_reference_gradient_matches_central_differences() {
-    let (kernel, response, size) = (curve(), response(), [17, 9]);
+    let (kernel, response, size) = (turn(), response(), [17, 9]);
     let reference = ReferenceShake { size, kernel: &kernel, response: &response };
     // Between the knots of the response, which have no derivative.
     let render: Vec<f64> =
@@ -144,19 +165,39 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
         Image::from_planar(image.width(), image.height(), data)
     };
     let kernel = curve();
-    let found = estimate(&sharp, &noisy(&shaken(&sharp, &kernel, &response)), &response);
-    // Far taps have a price, so an estimate is slightly too narrow, and never too wide.
-    let wide = found.spread() / kernel.spread();
-    assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
-    assert!(found.centroid().iter().all(|c| c.abs() < 0.3), "{:?}", found.centroid());
-    let weight = |of: &ShakeKernel, offset| {
-        of.taps().iter().find(|t| t.offset == offset).map_or(0.0, |t| t.weight)
-    };
-    let apart: f32 =
-        kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight).abs()).sum();
-    assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
-    let still = estimate(&sharp, &noisy(&sharp), &response);
-    assert!(still.spread() < 0.3, "a still photograph: {still:?}");
+    let photograph = noisy(&shaken(&sharp, &kernel, &response));
+    for estimate in [estimate, estimate_by_cells] {
+        let found = estimate(&sharp, &photograph, &response);
+        // Far taps have a price, so an estimate is slightly too narrow, and never too wide.
+        let wide = found.spread() / kernel.spread();
+        assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
+        assert!(found.centroid().iter().all(|c| c.abs() < 0.3), "{:?}", found.centroid());
+        let weight = |of: &ShakeKernel, offset| {
+            of.taps().iter().find(|t| t.offset == offset).map_or(0.0, Tap::weight)
+        };
+        let apart: f32 =
+            kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight()).abs()).sum();
+        assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
+        let still = estimate(&sharp, &noisy(&sharp), &response);
+        assert!(still.spread() < 0.3, "a still photograph: {still:?}");
+    }
+}
+
+#[test]
+fn a_turn_of_the_camera_takes_a_kernel_for_each_cell() {
+    for (width, height) in [(280, 180), (180, 280)] {
+        let (sharp, response) = (picture(width, height), Response::srgb());
+        let right = shaken(&sharp, &turn(), &response);
+        let mut photograph = right.clone();
+        let mut random = Pcg64Mcg::seed_from_u64(9);
+        photograph.data_mut().iter_mut().for_each(|v| *v += (0.03 * normal(&mut random)) as f32);
+        let left = |kernel: &ShakeKernel| {
+            difference(&shaken(&sharp, kernel, &response), &right, |_, _| true)
+        };
+        let one = left(&estimate(&sharp, &photograph, &response));
+        let cells = left(&estimate_by_cells(&sharp, &photograph, &response));
+        assert!(cells < 0.6 * one, "{cells:.4} with cells, {one:.4} without");
+    }
 }
 
 #[test]
@@ -191,7 +232,7 @@ fn a_halved_kernel_shakes_a_halved_image_alike() {
 #[test]
 fn a_smaller_image_is_shaken_by_fewer_pixels() {
     // The variance along the path is 2 px^2, across it 0.
-    let taps = [-2, 0, 2].map(|x| Tap { offset: [x, 0], weight: if x == 0 { 2.0 } else { 1.0 } });
+    let taps = [-2, 0, 2].map(|x| Tap::even([x, 0], if x == 0 { 2.0 } else { 1.0 }));
     let kernel = ShakeKernel::new(taps.to_vec());
     let least = [280, 420, 560].map(|side| kernel.elongation() / kernel.significance(side));
     assert!((kernel.elongation() - 2_f64.sqrt()).abs() < 1e-6);
@@ -209,16 +250,16 @@ fn uninformative_images_have_no_shake() {
     let mut broken = picture(100, 80);
     broken.data_mut()[500] = f32::NAN;
     assert_eq!(estimate(&broken, &picture(100, 80), &Response::srgb()), ShakeKernel::still());
-    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap { offset: [1, 1], weight });
+    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap::even([1, 1], weight));
     assert_eq!(ShakeKernel::new(bad.to_vec()), ShakeKernel::still());
 }
 
 #[test]
 fn saved_kernels_round_trip_and_invalid_ones_are_refused() {
-    let kernels = vec![ShakeKernel::still(), curve()];
+    let kernels = vec![ShakeKernel::still(), curve(), turn()];
     let state = save(&kernels);
-    assert_eq!(parse(&state, 2), Some(kernels));
-    assert_eq!(parse(&state[..state.len() - 1], 2), None);
+    assert_eq!(parse(&state, 3), Some(kernels));
+    assert_eq!(parse(&state[..state.len() - 1], 3), None);
     assert_eq!(parse(&state, 1), None);
     assert_eq!(parse(&[1e9, 0.0], 1), None);
 }

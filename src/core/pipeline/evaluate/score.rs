@@ -7,7 +7,7 @@ use crate::image::Image;
 use crate::metrics;
 use crate::pipeline::views::View;
 use crate::shake::reference::shaken_image;
-use crate::shake::{self, Response, Sampling};
+use crate::shake::{self, Response};
 
 /// How well a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]
@@ -29,7 +29,7 @@ pub struct Likeness {
 /// are no less shaken.
 pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
     let of = |(render, view): (&Image, &Image)| {
-        let kernel = shake::estimate(render, view, response, Sampling::Fine);
+        let kernel = shake::estimate(render, view, response);
         let shaken = shaken_image(render, &kernel, response);
         Likeness {
             shake_px: kernel.spread(),
@@ -81,7 +81,7 @@ mod tests {
 
     fn along(length: i32) -> ShakeKernel {
         let weight = 1.0 / (2 * length + 1) as f32;
-        ShakeKernel::new((-length..=length).map(|x| Tap { offset: [x, 0], weight }).collect())
+        ShakeKernel::new((-length..=length).map(|x| Tap::even([x, 0], weight)).collect())
     }
 
     fn blurred(image: &Image, length: i32) -> Image {

@@ -18,7 +18,7 @@ use crate::pipeline::views::View;
 use crate::reconstruct::Look;
 use crate::reconstruct::schedule::reduced_size;
 use crate::shake::reference::shaken_image;
-use crate::shake::{self, Response, Sampling};
+use crate::shake::{self, Response};
 
 /// Steps between scores.
 const SCORED: u32 = 100;
@@ -154,7 +154,7 @@ impl<'a> Watch<'a> {
         let compared = if self.truth {
             render.map(|value| self.target.value(response.light(f64::from(value))) as f32)
         } else {
-            let kernel = shake::estimate(&render, reference, response, Sampling::Fine);
+            let kernel = shake::estimate(&render, reference, response);
             shaken_image(&render, &kernel, response)
         };
         let psnr = metrics::psnr_colour_corrected(&compared, reference);

@@ -7,7 +7,7 @@ use super::ForwardModel;
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
-use crate::shake::{self, DeviceKernel, Sampling, ShakeKernel};
+use crate::shake::{self, DeviceKernel, ShakeKernel};
 
 /// Number of renders held at once.
 const AT_ONCE: usize = 8;
@@ -38,9 +38,7 @@ impl ForwardModel<'_> {
             let kernels: Vec<ShakeKernel> = renders
                 .par_iter()
                 .zip(&photographs)
-                .map(|(render, photograph)| {
-                    shake::estimate(render, photograph, &response, Sampling::Coarse)
-                })
+                .map(|(render, photograph)| shake::estimate_by_cells(render, photograph, &response))
                 .collect();
             for (&view, kernel) in some.iter().zip(kernels) {
                 self.set_kernel(view, kernel)?;

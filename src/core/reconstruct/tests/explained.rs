@@ -112,7 +112,7 @@ fn wrong_cameras_are_corrected_and_held_out_ones_registered() {
 fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
     let tap = |n: i32| {
         let offset = [angle.cos(), angle.sin()].map(|along| (along * f64::from(n)).round() as i32);
-        Tap { offset, weight: 1.0 }
+        Tap::even(offset, 1.0)
     };
     let kernel = ShakeKernel::new((-3..=3).map(tap).collect());
     shaken_image(image, &kernel, response)
