@@ -2,9 +2,10 @@
 
 /// |correlation| of map and render above which the field models the scene instead of the noise.
 pub const CORRELATION_LIMIT: f64 = 0.3;
-/// Standard deviation (0..=1) below which maps are not guarded: half an 8-bit step, of any shape,
-/// cannot replace the scene, and in real rounds of 8 views such maps had correlations of 0.4.
-pub const LEAST_GUARDED_SPREAD: f64 = 0.5 / 255.0;
+/// Standard deviation (0..=1) below which no map models the scene: half an 8-bit step, of any
+/// shape, cannot replace the scene, and in real rounds of 8 views such maps had correlations of
+/// 0.4.
+pub const LEAST_SPREAD: f64 = 0.5 / 255.0;
 
 /// Statistics of the field's map of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -15,8 +16,9 @@ pub struct Inspection {
     pub spread: f64,
     /// Correlation with the clean render, -1..=1; 0 when either is constant.
     pub correlation: f64,
-    /// Whether the amplitude was halved because |correlation| exceeded [`CORRELATION_LIMIT`].
-    pub halved: bool,
+    /// Whether the field models the scene: |correlation| exceeds [`CORRELATION_LIMIT`], and the
+    /// spread [`LEAST_SPREAD`].
+    pub follows_scene: bool,
 }
 
 /// Statistics of `prediction - render`, and whether it is too similar to the render.
@@ -37,6 +39,6 @@ pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     let correlation =
         if something { covariance / (variance * variance_render).sqrt() } else { 0.0 };
     let spread = variance.sqrt();
-    let halved = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_GUARDED_SPREAD;
-    Inspection { mean, spread, correlation, halved }
+    let follows_scene = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_SPREAD;
+    Inspection { mean, spread, correlation, follows_scene }
 }

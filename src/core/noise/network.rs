@@ -1,11 +1,17 @@
 //! The shape of the network, the layout of its parameters, and their initial values.
+//!
+//! The paper has "a 4-layer MLP with 128 hidden units per layer and an additional noise color
+//! output layer" of position x and direction d. The paper does not say: how x and d are encoded,
+//! where d enters, and the activations. These are as in NeRF: octaves of sines, d beside the
+//! features that the colour is made of, ReLU. LuSh-NeRF's noise field, from which the paper's
+//! comes, has two more layers between features and colour, as NeRF itself.
 
 use rand::{RngExt, SeedableRng};
 
-/// Fully connected layers: four of 128, one to the features, one of 64, one to RGB.
-pub(super) const LAYERS: usize = 7;
+/// Fully connected layers: four of 128 and one to RGB.
+pub(super) const LAYERS: usize = 5;
 /// The layer whose output is concatenated with the direction's encoding.
-pub(super) const FEATURE_LAYER: usize = 4;
+pub(super) const FEATURE_LAYER: usize = 3;
 /// Width of the hidden layers.
 pub(super) const HIDDEN: usize = 128;
 /// Octaves of the position's encoding.
@@ -61,9 +67,7 @@ impl Network {
             (HIDDEN, HIDDEN),
             (HIDDEN, HIDDEN),
             (HIDDEN, HIDDEN),
-            (HIDDEN, HIDDEN),
-            (features, 64),
-            (64, 3),
+            (features, 3),
         ];
         let mut end = 0;
         let layers = shapes.iter().enumerate().map(|(i, &(inputs, outputs))| {
@@ -80,8 +84,8 @@ impl Network {
                 output_stride4: if i == FEATURE_LAYER { features.div_ceil(4) } else { outputs4 },
                 weights4,
                 biases4,
-                relu: i != FEATURE_LAYER && i != LAYERS - 1,
-                input_relu: i != 0 && i != FEATURE_LAYER + 1,
+                relu: i != LAYERS - 1,
+                input_relu: i != 0,
                 whole: i == LAYERS - 1,
             }
         });
@@ -115,14 +119,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_papers_network_has_84_419_separate_parameters() {
+    fn the_papers_network_has_four_layers_of_128_and_a_colour_layer() {
         let network = Network::new();
+        let outputs: Vec<_> = network.layers.iter().map(|layer| layer.outputs).collect();
+        assert_eq!(outputs, [128, 128, 128, 128, 3]);
         assert_eq!(
             network.layers.iter().map(|l| (l.inputs + 1) * l.outputs).sum::<usize>(),
-            84_419
+            58_196
         );
         let filled = network.initial(3).iter().filter(|&&p| p != 0.0).count();
-        assert!((84_410..=84_419).contains(&filled), "{filled}");
+        assert!((58_187..=58_196).contains(&filled), "{filled}");
     }
 
     #[test]

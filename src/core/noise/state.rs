@@ -5,9 +5,9 @@ use fled_gpu::GpuError;
 use super::NoiseField;
 
 /// First number of a state: the version of its layout.
-const VERSION: f32 = 2.0;
-/// Number of values before the parameters: version, step, restraint.
-const HEADER: usize = 3;
+const VERSION: f32 = 3.0;
+/// Number of values before the parameters: version, step.
+const HEADER: usize = 2;
 
 /// A state that cannot be restored.
 #[derive(Debug, thiserror::Error)]
@@ -21,14 +21,13 @@ pub enum StateError {
 }
 
 impl NoiseField {
-    /// The state for [`NoiseField::restore`]: step, guard, parameters and moments. Waits for the
-    /// device.
+    /// The state for [`NoiseField::restore`]: step, parameters and moments. Waits for the device.
     ///
     /// # Errors
     /// A device error.
     pub fn save(&self) -> Result<Vec<f32>, GpuError> {
         // Steps are far below 2^24, up to which f32 is exact.
-        let mut state = vec![VERSION, self.step as f32, self.restraint];
+        let mut state = vec![VERSION, self.step as f32];
         for buffer in [&self.buffers.parameters, &self.buffers.moments] {
             state.extend(buffer.read()?.as_flattened());
         }
@@ -41,7 +40,7 @@ impl NoiseField {
     /// [`StateError::Format`] for invalid numbers, which change nothing; a device error.
     pub fn restore(&mut self, state: &[f32]) -> Result<(), StateError> {
         let parameters = 4 * self.network.parameters();
-        let (&[version, step, restraint], numbers) = state
+        let (&[version, step], numbers) = state
             .split_first_chunk::<HEADER>()
             .filter(|(_, numbers)| numbers.len() == 3 * parameters)
             .ok_or(StateError::Format("the length differs"))?;
@@ -52,7 +51,6 @@ impl NoiseField {
         self.buffers.parameters.write(bytemuck::cast_slice(values))?;
         self.buffers.moments.write(bytemuck::cast_slice(moments))?;
         self.step = step as u64;
-        self.restraint = restraint;
         Ok(())
     }
 }

@@ -120,19 +120,20 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Inspects the noise map of the last step. This precedes the checkpoint, which includes the
-    /// guard's verdict.
+    /// Inspects the noise map of the last step; warns once if it models the scene.
     pub(super) fn inspect_noise(&mut self) -> Result<(), GpuError> {
-        let Some(noise) = &mut self.noise else {
+        let Some(noise) = &self.noise else {
             return Ok(());
         };
         let render = &self.model.pass.buffers().image;
         let clean = self.model.shake.as_ref().map_or(render, Shake::blurred);
         let seen = noise.inspect(clean, &self.prediction)?;
-        if seen.halved {
+        if seen.follows_scene && self.warnings.is_empty() {
             let correlation = seen.correlation;
-            self.warnings
-                .push(format!("noise map follows the scene ({correlation:.2}): bound halved"));
+            self.warnings.push(format!(
+                "the noise map follows the scene (correlation {correlation:.2}): the scene may lack \
+                 what the map takes up; `noise=off` trains without it"
+            ));
         }
         self.noise_seen.push(NoiseMapStatistics {
             mean: seen.mean,
