@@ -4,6 +4,9 @@
 //! equal weights, on small images. In float and with soft bins f is smooth, so small images find
 //! the same optimum as large ones.
 //!
+//! The paper does not say: the weights of the three terms, the bins of the histograms, and the size
+//! of the images.
+//!
 //! SSIM is that of the luma, not of each channel: the curve preserves hue and saturation, so the
 //! channels would add the same information at three times the cost. Images are never compared above
 //! 112 px, even where a quarter would be more.
@@ -69,8 +72,12 @@ pub fn match_anchor(
             gamma: MIN_GAMMA + second * (1.0 - MIN_GAMMA),
         },
     };
-    let best = Evolution::PAPER
-        .minimise(seed, |point| cost(&scenes, &ToneCurve::new(histogram, anchor_at(point))));
+    let search = match like {
+        Anchor::Exposure { .. } => Evolution::EXPOSURE,
+        Anchor::Equalised { .. } => Evolution::PAPER,
+    };
+    let best =
+        search.minimise(seed, |point| cost(&scenes, &ToneCurve::new(histogram, anchor_at(point))));
     Match { anchor: anchor_at(best.point), cost: best.cost, generations: best.generations }
 }
 
