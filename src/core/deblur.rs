@@ -24,7 +24,8 @@ use golden::Golden;
 pub trait Restorer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
-    /// `guide` is the view with the detail of its clean render, of the same size and brightness.
+    /// `guide` is the view with the detail of its clean render, or that render itself, of the same
+    /// size and brightness.
     /// Without one, a guided network receives `blurry` twice; a network without channels for a
     /// guide ignores it.
     ///

@@ -23,9 +23,9 @@ use fled_gpu::Gpu;
 
 pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use config::{Background, Densify, TrainConfig};
+pub use config::{Background, Densify, Pace, TrainConfig};
 pub use error::ReconstructError;
-pub use initialise::{Point, initialise, scene_depth, scene_extent};
+pub use initialise::{Point, camera_extent, initialise, scene_depth, scene_extent};
 pub use look::Look;
 pub use registration::{CORRECTIONS, Registration};
 pub use round::{

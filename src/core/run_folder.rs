@@ -36,7 +36,7 @@ impl RunFolder {
         &self.root
     }
 
-    /// The delivered scene: of the best round, at the target brightness.
+    /// The delivered scene: that of the delivered round, at the target brightness.
     pub fn scene(&self) -> PathBuf {
         self.root.join("scene.ply")
     }
@@ -106,12 +106,14 @@ impl RunFolder {
         self.truths().join(format!("{view}.jpg"))
     }
 
-    /// Folder of the renders of the best round so far, at the target brightness.
+    /// Folder of the renders of the round that is delivered if none follows, at the target
+    /// brightness.
     pub fn restored(&self) -> PathBuf {
         self.root.join("restored")
     }
 
-    /// A view restored: rendered from the best round so far, at the target brightness; PNG.
+    /// A view restored: rendered from the round that is delivered if none follows, at the target
+    /// brightness; PNG.
     pub fn restored_view(&self, view: &str) -> PathBuf {
         self.restored().join(format!("{view}.png"))
     }

@@ -11,7 +11,7 @@ use fled_core::dataset::GivenPoses;
 use fled_core::deblur::{self, Restorer};
 use fled_core::features::{FeatureError, LearnedMatching, SearchOptions};
 use fled_core::inference::runtime;
-use fled_core::pipeline::config::{Guide, Options, PoseSource};
+use fled_core::pipeline::config::{Guide, KeyPoints, Options, PoseSource};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::{self};
 use fled_core::poses::Sfm;
@@ -187,7 +187,9 @@ impl Kit {
             fallbacks.extend(opened.fallbacks);
             opened.deblurrer
         });
-        let matching = match args.matching() {
+        let uses_networks = options.key_points == KeyPoints::Auto || options.late_views;
+        let opened = if uses_networks { args.matching() } else { Ok(None) };
+        let matching = match opened {
             Ok(matching) => matching,
             Err(error) => {
                 fallbacks.push(format!(
@@ -226,6 +228,7 @@ fn sfm(
     capture: &Capture,
     matching: Option<Arc<dyn Matching>>,
 ) -> Result<Box<dyn Sfm>, Failure> {
+    let matching = matching.filter(|_| options.key_points == KeyPoints::Auto);
     let colmap = ColmapCli::new(&args.colmap);
     match (options.pose_source, &capture.poses) {
         (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(match matching {

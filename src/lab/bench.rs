@@ -22,7 +22,7 @@ use fled_gpu::Gpu;
 pub use error::BenchError;
 use fled_core::cancel::CancelToken;
 use fled_core::noise::NoiseMode;
-use fled_core::reconstruct::{Background, Densify, Response, Stepper, TrainConfig};
+use fled_core::reconstruct::{Background, Densify, Pace, Response, Stepper, TrainConfig};
 pub use options::{BenchOptions, Budget, MOST_STEPS};
 use report::{Case, Machine, Report};
 use subject::{Rendering, Similarity, Sorting, Subject, Training};
@@ -180,6 +180,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         sh_degree: workload.gaussians.sh_degree,
         noise: extras.noise,
         resolution_schedule: false,
+        pace: Pace::Adapted,
         warm: true,
         background: Background::Black,
         densify: Densify::Mcmc,

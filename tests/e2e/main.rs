@@ -8,6 +8,7 @@ mod kills;
 mod late_views;
 mod models;
 mod networks;
+mod paper;
 mod remote;
 mod service;
 mod suite;

@@ -29,6 +29,7 @@ const RUNS: [(&str, &[&str]); 2] = [
             "start=scratch",
             "noise=paper",
             "densify=classic",
+            "guide=raw",
         ],
     ),
 ];

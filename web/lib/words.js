@@ -17,6 +17,7 @@ const OPTIONS = {
   seed: "Random seed",
   train_on: "Training views",
   start: "Start of later rounds",
+  deliver: "Delivered round",
 };
 
 /** An option as every page calls it. */
@@ -46,7 +47,7 @@ export const METRICS = {
     digits: 2,
     means:
       "How well renders, each shaken like its photograph, agree with the photographs that fled " +
-      "brightened, at one brightness for all rounds. fled delivers the best round by this score. " +
+      "brightened, at one brightness for all rounds. By default fled delivers the best round by this score. " +
       "Without that shake a sharp render agrees less with a shaken photograph.",
   },
   own_ssim: {

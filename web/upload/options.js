@@ -11,7 +11,7 @@ const GROUPS = {
   Poses: ["pose_source", "refine_poses", "late_views"],
 };
 /** They compare methods or choose among machines: of the API and the command line alone. */
-const UNASKED = ["adapter", "lut_scope", "enhance", "noise"];
+const UNASKED = ["adapter", "lut_scope", "enhance", "noise", "schedule", "key_points"];
 const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
 /** After an answer that did not come. */

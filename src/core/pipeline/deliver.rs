@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use super::config::Deliver;
 use super::context::Context;
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
@@ -34,7 +35,7 @@ pub fn delivered(
     Ok(Some(report))
 }
 
-/// Copies the best round's scene and cameras to the top of the folder.
+/// Copies the delivered round's scene and cameras to the top of the folder.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -44,22 +45,26 @@ pub fn deliver(
     depends_on: &Dependencies,
 ) -> Result<(), PipelineError> {
     report::write(context, report)?;
-    if report.best_round as usize != report.rounds.len() {
-        let message = format!(
-            "round {} scored worse than round {}, which is delivered instead",
-            report.rounds.len(),
-            report.best_round
-        );
+    let (last, delivered) = (report.rounds.len() as u32, report.best_round);
+    let best = report::delivered_round(&report.rounds, Deliver::Best);
+    if delivered != last {
+        let message =
+            format!("round {last} scored worse than round {delivered}, which is delivered instead");
         context.sink.warn("round_worse", message);
+    } else if best != last {
+        let message = format!(
+            "round {last} is delivered, as `deliver=last` asks; round {best} scored better"
+        );
+        context.sink.log(message);
     }
     let workspace = context.workspace;
-    let best = workspace.folder().round(report.best_round);
-    let at_target = best.scene_at_target();
-    let scene = if at_target.exists() { at_target } else { best.scene() };
+    let delivered = workspace.folder().round(report.best_round);
+    let at_target = delivered.scene_at_target();
+    let scene = if at_target.exists() { at_target } else { delivered.scene() };
     // The cameras are those of that round, too: a later round has moved them a little, and may have
     // other views.
     for (from, to) in
-        [(scene, workspace.folder().scene()), (best.cameras(), workspace.folder().cameras())]
+        [(scene, workspace.folder().scene()), (delivered.cameras(), workspace.folder().cameras())]
     {
         let bytes = fs::read(&from).map_err(|e| PipelineError::io(&from, e))?;
         workspace.write(&to, &bytes)?;

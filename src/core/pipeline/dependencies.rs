@@ -26,7 +26,7 @@ const DEBLUR_GUIDED: &[&str] = &["guide"];
 /// Deblurring without a guide.
 const DEBLUR: &[&str] = &[];
 /// The curves from a round's renders to the next round and to the target.
-const MATCH: &[&str] = &["lut_scope", "seed"];
+const MATCH: &[&str] = &["lut_scope", "guide", "seed"];
 /// The views that join or leave the scene after a round.
 const LATE_VIEWS: &[&str] = &["size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
@@ -38,6 +38,7 @@ const RECONSTRUCT: &[&str] = &[
     "train_on",
     "refine_poses",
     "start",
+    "schedule",
     "densify",
     "cap",
     "sh_degree",

@@ -9,12 +9,14 @@ use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use super::config::Deliver;
 use super::context::Context;
 use super::enhance::Brightening;
 use super::error::PipelineError;
 use super::match_brightness::Next;
 use super::pictures;
 use super::reconstruct::TrainedScene;
+use super::report;
 use super::round::Round;
 use super::tone::Tone;
 use super::views::View;
@@ -48,10 +50,12 @@ pub struct Finished<'a> {
     pub next: Option<&'a Next>,
     /// From the world of the poses to the scene's.
     pub normalisation: &'a Normalisation,
+    /// Which round is delivered.
+    pub deliver: Deliver,
 }
 
-/// Runs the stage: the round's row of `metrics.json`. `restored/` holds the pictures of the best
-/// round so far; `previous` is the previous row.
+/// Runs the stage: the round's row of `metrics.json`. `restored/` holds the pictures of the round
+/// that is delivered if none follows; `before` are the earlier rows.
 ///
 /// # Errors
 /// [`PipelineError::Io`], [`PipelineError::Ply`], [`PipelineError::Cancelled`].
@@ -59,7 +63,7 @@ pub fn evaluate(
     context: &mut Context<'_>,
     finished: &Finished<'_>,
     brightening: &Brightening,
-    previous: Option<&RoundMetrics>,
+    before: &[RoundMetrics],
 ) -> Result<RoundMetrics, PipelineError> {
     let number = finished.round.number;
     let metrics = context.stage(Stage::Evaluate, number, |context| {
@@ -73,8 +77,9 @@ pub fn evaluate(
             deblurred: at_target(finished.images.deblurred),
             renders: at_target(finished.images.renders),
         };
-        let metrics = measure(finished, &target, brightening, previous);
-        if !metrics.worse_than_previous {
+        let metrics = measure(finished, &target, brightening, before.last());
+        let rounds = [before, std::slice::from_ref(&metrics)].concat();
+        if report::delivered_round(&rounds, finished.deliver) == number {
             restored(context.workspace, finished.views, &target.renders)?;
         }
         brighten_scene(context.workspace, tone, finished)?;
@@ -104,7 +109,7 @@ fn brighten_scene(
     Ok(ply::write(&gaussians, finished.normalisation, &path)?)
 }
 
-/// Writes the best round's renders at the views' cameras and the target brightness.
+/// Writes the round's renders at the views' cameras and the target brightness.
 fn restored(workspace: &Workspace, views: &[View], renders: &[Image]) -> Result<(), PipelineError> {
     views.iter().zip(renders).try_for_each(|(view, image)| {
         let path = workspace.folder().restored_view(&view.name);

@@ -1,15 +1,16 @@
 //! The guides of deblurring: each view with its render's detail where the two agree.
 //!
-//! Differs from the paper: it feeds the render as it is. A render has better detail than a view: it
-//! averages many views, so it is sharper and less noisy than each. At scales coarser than a shake
-//! the view is more accurate: a scene of few steps or views, and the curve found for it, have
-//! larger errors there. Where the scene is wrong (a tree that only one view saw, a floater in front
-//! of a held-out camera), the render has no useful detail either. So where the two disagree at a
-//! scale that neither shake nor noise reaches, the guide is the view itself, which the network
-//! interprets as "no guide". Measured in docs/decisions/guide.md.
+//! Differs from the paper: it feeds the render as it is (`guide=raw`). A render has better detail
+//! than a view: it averages many views, so it is sharper and less noisy than each. At scales
+//! coarser than a shake the view is more accurate: a scene of few steps or views, and the curve
+//! found for it, have larger errors there. Where the scene is wrong (a tree that only one view saw,
+//! a floater in front of a held-out camera), the render has no useful detail either. So where the
+//! two disagree at a scale that neither shake nor noise reaches, the guide is the view itself,
+//! which the network interprets as "no guide". Measured in docs/decisions/guide.md.
 
 use rayon::prelude::*;
 
+use super::config::Guide;
 use crate::image::{Image, Srgb};
 
 /// Side of the cells in which view and render are compared, px; above the shake, below the objects.
@@ -25,7 +26,15 @@ const DISAGREEMENT: f32 = 0.04;
 /// alone instead of 0.3 below it; docs/decisions/guide.md).
 const SHARE: f32 = 0.7;
 
-pub fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
+/// The guides of `views`, given their renders at the views' brightness.
+pub fn guides(how: Guide, views: &[Image], renders: Vec<Image>) -> Vec<Image> {
+    match how {
+        Guide::Raw => renders,
+        Guide::Render | Guide::None => trusted(views, &renders),
+    }
+}
+
+fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
     views.par_iter().zip(renders).map(|(view, render)| guide(view, render, SHARE)).collect()
 }
 
@@ -59,6 +68,15 @@ fn guide(view: &Image, render: &Image, share: f32) -> Image {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_raw_guide_is_the_render_itself() {
+        let view = Image::from_planar(8, 8, vec![0.5; 3 * 64]);
+        let render = view.map(|v| v + 0.25);
+        let of = |how| guides(how, std::slice::from_ref(&view), vec![render.clone()]).remove(0);
+        assert_eq!(of(Guide::Raw), render);
+        assert_ne!(of(Guide::Render), render);
+    }
 
     #[test]
     fn a_guide_has_render_detail_only_where_it_agrees() {

@@ -17,7 +17,7 @@ use crate::image::Image;
 pub struct Next {
     /// H_{i+1}.
     pub enhanced: Brightened,
-    /// H_{i+1} with the detail of HR.
+    /// HR, or H_{i+1} with the detail of HR.
     pub guides: Vec<Image>,
     /// From this round's brightness to the next one's.
     pub to_next: Tone,
@@ -56,7 +56,7 @@ pub fn match_brightness(
         };
         let clean = to_next.apply(renders.iter().copied());
         Ok(Some(Next {
-            guides: guide::trusted(&enhanced, &clean),
+            guides: guide::guides(options.guide, &enhanced, clean),
             enhanced,
             to_next,
             to_target,

@@ -9,7 +9,7 @@ use std::path::Path;
 use fled_gpu::Gpu;
 use serde::{Deserialize, Serialize};
 
-use super::config::{Options, Start};
+use super::config::{Options, Pace, Start};
 use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
@@ -154,6 +154,10 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     let training = material.views.iter().zip(material.explained);
     let shaken =
         training.filter(|(view, _)| view.split == Split::Train).any(|(_, explained)| *explained);
+    let extent = match options.schedule {
+        Pace::Adapted => reconstruct::scene_extent(&cameras, &points),
+        Pace::Published => reconstruct::camera_extent(&training_cameras(material.views)),
+    };
     TrainConfig {
         steps: options.steps,
         cap: options.cap as usize,
@@ -161,13 +165,18 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
         noise: options.noise,
         shake: shaken.then(|| round.response.clone()),
         refine_poses: options.refine_poses.then(|| reconstruct::scene_depth(&cameras, &points)),
-        resolution_schedule: true,
+        resolution_schedule: options.schedule == Pace::Adapted,
+        pace: options.schedule,
         warm: round.number > 1 && options.start == Start::Warm,
         background: options.background,
         densify: options.densify,
         seed: options.seed.wrapping_add(u64::from(round.number) << 32),
-        extent: reconstruct::scene_extent(&cameras, &points),
+        extent,
     }
+}
+
+fn training_cameras(views: &[View]) -> Vec<Camera> {
+    views.iter().filter(|view| view.split == Split::Train).map(|view| view.camera).collect()
 }
 
 /// Starts from the checkpoint of an interrupted training, the previous scene, or the points.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::config::Options;
+use super::config::{Deliver, Options};
 use super::context::Context;
 use super::error::PipelineError;
 use super::tools::{Networks, Tools};
@@ -78,9 +78,10 @@ pub fn add_round(
     context: &mut Context<'_>,
     report: &mut Report,
     metrics: RoundMetrics,
+    deliver: Deliver,
 ) -> Result<(), PipelineError> {
     report.rounds.push(metrics.clone());
-    report.best_round = best_round(&report.rounds);
+    report.best_round = delivered_round(&report.rounds, deliver);
     write(context, report)?;
     context.sink.event(&Event::RoundFinished { metrics: Box::new(metrics) });
     Ok(())
@@ -98,8 +99,42 @@ pub fn write(context: &Context<'_>, report: &mut Report) -> Result<(), PipelineE
     workspace.write_json(&workspace.folder().metrics(), report)
 }
 
-/// The last round before the first one that is worse than its predecessor.
-fn best_round(rounds: &[RoundMetrics]) -> u32 {
-    let not_worse = rounds.iter().take_while(|round| !round.worse_than_previous);
-    not_worse.last().map_or(1, |round| round.round)
+/// The round that is delivered if none follows: the last one, or the last before the first one that
+/// is worse than its predecessor.
+pub fn delivered_round(rounds: &[RoundMetrics], deliver: Deliver) -> u32 {
+    let counts = |round: &&RoundMetrics| deliver == Deliver::Last || !round.worse_than_previous;
+    rounds.iter().take_while(counts).last().map_or(1, |round| round.round)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rounds(worse: &[bool]) -> Vec<RoundMetrics> {
+        let round = |(number, worse): (u32, &bool)| {
+            serde_json::from_value(json!({
+                "round": number, "seconds": 1, "gaussians": 9, "steps": 9, "steps_per_second": 9,
+                "records": [], "noise_sigma": {}, "sharpness": {}, "mean_brightness": 0.5,
+                "clipped": 0, "noise_ceiling_db": 30, "non_finite_gradients": 0,
+                "anchor": { "alpha": 1, "gamma": 1 }, "worse_than_previous": worse
+            }))
+            .expect("a round")
+        };
+        (1..).zip(worse).map(round).collect()
+    }
+
+    #[test]
+    fn the_best_round_or_the_last_is_delivered() {
+        let cases: [(&[bool], u32, u32); 4] = [
+            (&[false], 1, 1),
+            (&[false, false], 2, 2),
+            (&[false, true], 1, 2),
+            (&[false, true, false], 1, 3),
+        ];
+        for (worse, best, last) in cases {
+            let rounds = rounds(worse);
+            assert_eq!(delivered_round(&rounds, Deliver::Best), best, "{worse:?}");
+            assert_eq!(delivered_round(&rounds, Deliver::Last), last, "{worse:?}");
+        }
+    }
 }

@@ -214,10 +214,11 @@ fn round(
         scene: &scene,
         next: next.as_ref(),
         normalisation: &poses.normalisation,
+        deliver: asked.options.deliver,
     };
-    let metrics = evaluate(context, &finished, brightening, report.rounds.last())?;
+    let metrics = evaluate(context, &finished, brightening, &report.rounds)?;
     publish(context.workspace, &with_fits(poses, &metrics))?;
-    report::add_round(context, report, metrics)?;
+    report::add_round(context, report, metrics, asked.options.deliver)?;
     if turn.index + 1 == asked.options.rounds as usize {
         return Ok(None);
     }

@@ -29,6 +29,17 @@ pub enum Densify {
     Classic,
 }
 
+/// Rates, resolution and densification of a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Pace {
+    /// Adapted to short rounds: larger rates, and reduced images at first.
+    Adapted,
+    /// As 3D Gaussian splatting was first published: its rates, start and extent, at full
+    /// resolution, with densification from step 500 until half of the round.
+    Published,
+}
+
 /// The configuration of a round's training.
 #[derive(Clone, Debug)]
 pub struct TrainConfig {
@@ -48,6 +59,8 @@ pub struct TrainConfig {
     pub noise: NoiseMode,
     /// Train at 1/4, 1/2, then full resolution.
     pub resolution_schedule: bool,
+    /// Rates, first opacities and scales, and when densification runs.
+    pub pace: Pace,
     /// Whether the round starts from a trained scene.
     pub warm: bool,
     /// Background of the splats.
@@ -56,7 +69,8 @@ pub struct TrainConfig {
     pub densify: Densify,
     /// Random seed.
     pub seed: u64,
-    /// [`scene_extent`](super::scene_extent), world units.
+    /// [`scene_extent`](super::scene_extent) or, at the published pace,
+    /// [`camera_extent`](super::camera_extent), world units.
     pub extent: f64,
 }
 
@@ -67,6 +81,7 @@ impl TrainConfig {
             steps: self.steps,
             sh_degree: self.sh_degree,
             resolution: self.resolution_schedule,
+            pace: self.pace,
             warm: self.warm,
             seed: self.seed,
         }

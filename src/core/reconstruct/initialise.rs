@@ -6,6 +6,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
+use super::config::Pace;
 use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
@@ -19,18 +20,21 @@ pub struct Point {
     pub colour: [u8; 3],
 }
 
-/// Initial opacity: a logit of 0.
+/// Initial opacity: a logit of 0, and that of 0.1, as published.
 const OPACITY_LOGIT: f32 = 0.0;
+const PUBLISHED_LOGIT: f32 = -2.197_224_6;
 /// Least scale, as a share of the extent.
 const SCALE_FLOOR: f64 = 1e-7;
 /// Largest scale, as a share of the extent: a point far from all others must not cover the scene.
+/// At the published pace only a lone point has it.
 const SCALE_CEILING: f64 = 0.1;
 /// Constant harmonic.
 const SH0: f32 = 0.282_094_8;
 
 /// Number of points below which random ones are added, in the cameras' frusta between the 5th and
 /// 95th percentile of depth. Always filling up to 20,000 costs more than 1 dB compared with growth
-/// from sparse points; random points only help where there are hardly any.
+/// from sparse points; random points only help where there are hardly any. None are added at the
+/// published pace.
 const FILL_UP: usize = 1_000;
 
 /// The unit of rates and noise, world units: the larger of 1.1 times the radius of the cameras, as
@@ -39,7 +43,19 @@ const FILL_UP: usize = 1_000;
 pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
     let depths = visible_depths(cameras, points);
     let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
-    let extent = (1.1 * camera_radius(cameras)).max(0.25 * depth);
+    positive(published_radius(cameras).max(0.25 * depth))
+}
+
+/// The unit of the published rates, world units: 1.1 times the radius of the cameras, 1 if it is 0.
+pub fn camera_extent(cameras: &[Camera]) -> f64 {
+    positive(published_radius(cameras))
+}
+
+fn published_radius(cameras: &[Camera]) -> f64 {
+    1.1 * camera_radius(cameras)
+}
+
+fn positive(extent: f64) -> f64 {
     if extent > 0.0 { extent } else { 1.0 }
 }
 
@@ -68,7 +84,8 @@ fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
 }
 
 /// Creates at most `cap` Gaussians of degree `schedule.sh_degree` at `points`: scale from the three
-/// nearest neighbours, opacity 0.5, the point's colour. Drops points that are not finite.
+/// nearest neighbours, opacity 0.5 (0.1 at the published pace), the point's colour. Drops points
+/// that are not finite.
 pub fn initialise(
     points: &[Point],
     cameras: &[Camera],
@@ -83,23 +100,35 @@ pub fn initialise(
     let extent = scene_extent(cameras, &all);
     // Without any points, half of the cap is placed at random, and the rest grows where the error
     // is.
-    let wanted = if all.is_empty() { cap / 2 } else { FILL_UP.min(cap) };
+    let wanted = match schedule.pace {
+        _ if all.is_empty() => cap / 2,
+        Pace::Adapted => FILL_UP.min(cap),
+        Pace::Published => 0,
+    };
     let missing = wanted.saturating_sub(all.len());
     all.extend(random_points(&all, cameras, missing, &mut random));
-    let scene = gaussians_at(&all, extent);
+    let scene = gaussians_at(&all, extent, schedule.pace);
     scene.with_sh_degree(schedule.sh_degree)
 }
 
 /// One Gaussian of degree 0 per point.
-pub(super) fn gaussians_at(points: &[Point], extent: f64) -> Gaussians {
+pub(super) fn gaussians_at(points: &[Point], extent: f64, pace: Pace) -> Gaussians {
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
-    let log_scales =
-        neighbour_distances(points).into_iter().map(|d| [d.clamp(low, high).ln() as f32; 3]);
+    let scale = |distance: f64| match pace {
+        Pace::Published if distance.is_finite() => distance.max(low),
+        _ => distance.clamp(low, high),
+    };
+    let distances = neighbour_distances(points, pace).into_iter();
+    let log_scales = distances.map(|distance| [scale(distance).ln() as f32; 3]);
+    let logit = match pace {
+        Pace::Adapted => OPACITY_LOGIT,
+        Pace::Published => PUBLISHED_LOGIT,
+    };
     Gaussians {
         means: points.iter().map(|p| p.position).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; points.len()],
         log_scales: log_scales.collect(),
-        opacity_logits: vec![OPACITY_LOGIT; points.len()],
+        opacity_logits: vec![logit; points.len()],
         sh: points
             .iter()
             .flat_map(|p| p.colour.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0))
@@ -156,12 +185,22 @@ fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
     (0..3).map(|n| (a[n] - b[n]) * (a[n] - b[n])).sum()
 }
 
-/// Mean distance of every point to its three nearest neighbours; infinite for a lone point.
-fn neighbour_distances(points: &[Point]) -> Vec<f64> {
+/// Mean distance of every point to its three nearest neighbours, root mean square at the published
+/// pace; infinite for a lone point.
+fn neighbour_distances(points: &[Point], pace: Pace) -> Vec<f64> {
     let mut order: Vec<_> = (0..points.len()).collect();
     order.sort_by(|&a, &b| points[a].position[0].total_cmp(&points[b].position[0]).then(a.cmp(&b)));
-    let by_rank: Vec<_> =
-        (0..order.len()).into_par_iter().map(|rank| nearest_three(points, &order, rank)).collect();
+    let mean = |rank| {
+        let squares = nearest_three(points, &order, rank);
+        let squares = squares.iter().filter(|d| d.is_finite()).map(|&d| f64::from(d));
+        let of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let mean = match pace {
+            Pace::Adapted => of(&squares.map(f64::sqrt).collect::<Vec<_>>()),
+            Pace::Published => of(&squares.collect::<Vec<_>>()).sqrt(),
+        };
+        if mean.is_nan() { f64::INFINITY } else { mean }
+    };
+    let by_rank: Vec<_> = (0..order.len()).into_par_iter().map(mean).collect();
     let mut out = vec![0.0; points.len()];
     for (&index, distance) in order.iter().zip(by_rank) {
         out[index] = distance;
@@ -169,8 +208,9 @@ fn neighbour_distances(points: &[Point]) -> Vec<f64> {
     out
 }
 
-/// Walks away from `rank` along x until no nearer point is possible.
-fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
+/// Squared distances to the three nearest points, infinite where there are fewer: walks away from
+/// `rank` along x until no nearer point is possible.
+fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> [f32; 3] {
     let here = &points[order[rank]].position;
     let mut best = [f32::INFINITY; 3];
     let mut visit = |index: usize| {
@@ -196,9 +236,7 @@ fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
             break;
         }
     }
-    let found: Vec<_> =
-        best.into_iter().filter(|d| d.is_finite()).map(|d| f64::from(d).sqrt()).collect();
-    if found.is_empty() { f64::INFINITY } else { found.iter().sum::<f64>() / found.len() as f64 }
+    best
 }
 
 #[cfg(test)]
@@ -206,8 +244,14 @@ mod tests {
     use super::*;
     use crate::splat::fixtures::{Random, viewpoint};
 
-    const PLAN: Schedule =
-        Schedule { steps: 100, sh_degree: 2, resolution: false, warm: false, seed: 1 };
+    const PLAN: Schedule = Schedule {
+        steps: 100,
+        sh_degree: 2,
+        resolution: false,
+        pace: Pace::Adapted,
+        warm: false,
+        seed: 1,
+    };
 
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
@@ -222,7 +266,7 @@ mod tests {
     #[test]
     fn neighbour_distances_match_brute_force() {
         let points = points(300);
-        for (i, found) in neighbour_distances(&points).into_iter().enumerate() {
+        for (i, found) in neighbour_distances(&points, Pace::Adapted).into_iter().enumerate() {
             let others = points.iter().enumerate().filter(|(j, _)| *j != i);
             let mut all: Vec<_> = others
                 .map(|(_, p)| f64::from(squared(&p.position, &points[i].position)).sqrt())
@@ -266,6 +310,26 @@ mod tests {
         assert_eq!(scene_extent(&[camera], &[]), 1.0);
         let poisoned = [Point { position: [f32::NAN, 0.0, 0.0], colour: [0; 3] }];
         assert!((0..20).all(|i| initialise(&poisoned, &[camera], 40, &PLAN).is_usable(i)));
+    }
+
+    #[test]
+    fn the_published_start_is_that_of_3dgs() {
+        let plan = Schedule { pace: Pace::Published, ..PLAN };
+        let near = [[0.0_f32, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 60.0]];
+        let points = near.map(|position| Point { position, colour: [9; 3] });
+        let cameras = [viewpoint(80, 60).camera];
+        let scene = initialise(&points, &cameras, 4_000, &plan);
+        assert_eq!(scene.len(), 4, "no random points");
+        assert!(scene.opacity_logits.iter().all(|l| (1.0 / (1.0 + (-l).exp()) - 0.1).abs() < 1e-6));
+        let at = (0..4).find(|&i| scene.means[i] == [0.0; 3]).expect("the first");
+        let expected = ((9.0_f64 + 16.0 + 3_600.0) / 3.0).sqrt();
+        let found = f64::from(scene.log_scales[at][0]).exp();
+        assert!((found / expected - 1.0).abs() < 1e-5, "{found}, not {expected}");
+        let lone = initialise(&points[..1], &cameras, 4_000, &plan);
+        assert!(lone.is_usable(0), "{:?}", lone.log_scales);
+        let mut other = cameras[0];
+        other.intrinsics.cx += 1.0;
+        assert_eq!(camera_extent(&[cameras[0], other]), 1.0, "both stand in one place");
     }
 
     #[test]

@@ -4,6 +4,7 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
+use super::config::Pace;
 use super::densify::classic::RESET_EVERY;
 
 /// Share of the steps at a quarter of the resolution.
@@ -25,6 +26,13 @@ const MOST_HASTE: f64 = 5.0;
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 /// Densification runs between these shares of the round.
 const DENSIFY: (f64, f64) = (0.05, 0.8);
+/// At the published pace it runs after this step and before this share, which is that of the
+/// published round, every [`PUBLISHED_INTERVAL`] steps.
+const PUBLISHED_FROM: u32 = 500;
+const PUBLISHED_UNTIL: f64 = 0.5;
+const PUBLISHED_INTERVAL: u32 = 100;
+/// Steps between degrees of the harmonics at the published pace.
+const PUBLISHED_DEGREE: u32 = 1_000;
 /// Share of the round after which the shake is estimated; a warm round does so from its start.
 const SHAKE_FROM: f64 = 0.3;
 /// Shares of the rest of the round at which it is estimated: dense while the scene changes fast.
@@ -62,6 +70,8 @@ pub struct Schedule {
     pub sh_degree: u32,
     /// Whether the resolution grows.
     pub resolution: bool,
+    /// Whether rates, degrees and densification are adapted to short rounds.
+    pub pace: Pace,
     /// Whether the round starts from a trained scene.
     pub warm: bool,
     /// Random seed.
@@ -86,23 +96,35 @@ impl Schedule {
         }
     }
 
-    /// Active degree at `step`: one more every tenth of the round, and all of them in a warm round.
+    /// Active degree at `step`: one more every tenth of the round, or every 1,000 steps as
+    /// published, and all of them in a warm round.
     pub fn degree(&self, step: u32) -> u32 {
         if self.warm {
             return self.sh_degree;
         }
-        self.sh_degree.min((self.share(step) * 10.0) as u32)
+        self.sh_degree.min(match self.pace {
+            Pace::Adapted => (self.share(step) * 10.0) as u32,
+            Pace::Published => (step + 1) / PUBLISHED_DEGREE,
+        })
+    }
+
+    /// How many times longer the published rounds are; 1 at their pace.
+    fn shortness(&self) -> f64 {
+        match self.pace {
+            Pace::Adapted => PUBLISHED_STEPS / f64::from(self.steps.max(1)),
+            Pace::Published => 1.0,
+        }
     }
 
     /// Factor of the rates of scales, quaternions and colours for the length of the round.
     pub fn haste(&self) -> f64 {
-        (PUBLISHED_STEPS / f64::from(self.steps.max(1))).sqrt().clamp(1.0, MOST_HASTE)
+        self.shortness().sqrt().clamp(1.0, MOST_HASTE)
     }
 
     /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
     pub fn means_rate(&self, step: u32) -> f64 {
         let (start, end) = MEANS_RATES;
-        let haste = (PUBLISHED_STEPS / f64::from(self.steps.max(1))).clamp(1.0, MOST_MEANS_HASTE);
+        let haste = self.shortness().clamp(1.0, MOST_MEANS_HASTE);
         haste * start * (end / start).powf(self.share(step))
     }
 
@@ -114,13 +136,24 @@ impl Schedule {
     /// Steps between densifications: 100 as published, fewer in a short round, which would
     /// otherwise have too few.
     pub fn densify_interval(&self) -> u32 {
-        (self.steps / 20).clamp(10, 100)
+        match self.pace {
+            Pace::Adapted => (self.steps / 20).clamp(10, PUBLISHED_INTERVAL),
+            Pace::Published => PUBLISHED_INTERVAL,
+        }
     }
 
     /// Whether densification runs before `step`.
+    ///
+    /// The paper does not say: how 3DGS's schedule becomes one of 10,000 steps. The means' rate
+    /// falls over the round and densification ends at half of it, as in 3DGS's own of 30,000;
+    /// intervals and the start stay.
     pub fn densifies(&self, step: u32) -> bool {
         let share = self.share(step);
-        step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
+        let is_within = match self.pace {
+            Pace::Adapted => share >= DENSIFY.0 && share < DENSIFY.1,
+            Pace::Published => step > PUBLISHED_FROM && share < PUBLISHED_UNTIL,
+        };
+        step.is_multiple_of(self.densify_interval()) && is_within
     }
 
     /// Whether the shake of the views is estimated before `step`: never on the coarse images of a
@@ -149,7 +182,7 @@ impl Schedule {
     /// Whether classic densification resets opacities before `step`: never in the last half of the
     /// round.
     pub fn resets_opacities(&self, step: u32) -> bool {
-        step > 0 && step.is_multiple_of(RESET_EVERY) && self.share(step) <= 0.5
+        step > 0 && step.is_multiple_of(RESET_EVERY) && self.share(step) < PUBLISHED_UNTIL
     }
 
     /// Number of densifications in the round.
@@ -195,8 +228,14 @@ mod tests {
 
     use super::*;
 
-    const PLAN: Schedule =
-        Schedule { steps: 1_000, sh_degree: 3, resolution: true, warm: false, seed: 7 };
+    const PLAN: Schedule = Schedule {
+        steps: 1_000,
+        sh_degree: 3,
+        resolution: true,
+        pace: Pace::Adapted,
+        warm: false,
+        seed: 7,
+    };
 
     #[test]
     fn resolution_and_degree_grow_at_the_stated_shares() {
@@ -270,6 +309,25 @@ mod tests {
         assert_eq!(steps(Schedule { warm: true, ..PLAN }), [200, 400, 600, 800]);
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
         assert!(!PLAN.refines_poses_last(600) && PLAN.refines_poses_last(800));
+    }
+
+    #[test]
+    fn the_published_pace_is_that_of_3dgs() {
+        let plan = Schedule { steps: 10_000, pace: Pace::Published, resolution: false, ..PLAN };
+        assert_eq!(plan.haste(), 1.0);
+        assert!((plan.means_rate(0) - 1.6e-4).abs() < 1e-12);
+        assert!((plan.means_rate(5_000) - 1.6e-5).abs() < 1e-12);
+        assert!((plan.means_rate(10_000) - 1.6e-6).abs() < 1e-12);
+        let short = Schedule { steps: 100, ..plan };
+        assert_eq!((short.haste(), short.means_rate(0)), (1.0, plan.means_rate(0)));
+        let steps = |test: &dyn Fn(u32) -> bool| -> Vec<u32> {
+            (0..plan.steps).filter(|&step| test(step)).collect()
+        };
+        let densified = steps(&|step| plan.densifies(step));
+        assert_eq!(densified, (6..50).map(|hundred| 100 * hundred).collect::<Vec<_>>());
+        assert_eq!(steps(&|step| plan.resets_opacities(step)), [3_000]);
+        assert_eq!([998, 999, 1_999, 2_999, 9_999].map(|s| plan.degree(s)), [0, 1, 2, 3, 3]);
+        assert!((0..plan.steps).all(|step| plan.divisor(step) == 1));
     }
 
     #[test]

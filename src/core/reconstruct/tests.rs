@@ -90,6 +90,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
         sh_degree: 1,
         noise: NoiseMode::Off,
         resolution_schedule: false,
+        pace: Pace::Adapted,
         warm: false,
         background: Background::Black,
         densify: Densify::Mcmc,
@@ -114,7 +115,7 @@ fn points_of(scene: &Gaussians) -> Vec<Point> {
 fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> TrainStart {
     let (points, cameras) = (points_of(scene), views.iter().map(|v| v.camera));
     let extent = scene_extent(&cameras.collect::<Vec<_>>(), &points);
-    let first = initialise::gaussians_at(&points, extent);
+    let first = initialise::gaussians_at(&points, extent, Pace::Adapted);
     TrainStart::Fresh(first.with_sh_degree(config.sh_degree))
 }
 

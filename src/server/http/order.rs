@@ -141,8 +141,8 @@ impl Order {
 }
 
 impl Order {
-    /// What a machine needs to run the job, where there are several: training exactly as in the
-    /// paper takes days without a GPU.
+    /// What a machine needs to run the job, where there are several: training with the
+    /// paper's settings takes days without a GPU.
     fn needs(&self, app: &App) -> Needs {
         match (app.store.engine(), self.preset) {
             (Engine::Postgres, Preset::Paper) => Needs { gpu: true, memory: PAPER_MEMORY },

@@ -5,7 +5,7 @@ use crate::pipeline::config::{ShakeModel, TrainOn};
 
 /// The results that each option invalidates, in the order of Algorithm 1. Options without any act
 /// through the tools that they choose.
-const STALE: [(&str, &[&str]); 22] = [
+const STALE: [(&str, &[&str]); 25] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     ("size", &["views", "enhance", "deblur", "reconstruct", "guided"]),
@@ -20,12 +20,15 @@ const STALE: [(&str, &[&str]); 22] = [
     ("refine_poses", &["reconstruct", "guided"]),
     ("late_views", &[]),
     ("start", &["reconstruct", "guided"]),
+    ("schedule", &["reconstruct", "guided"]),
     ("densify", &["reconstruct", "guided"]),
     ("cap", &["reconstruct", "guided"]),
     ("sh_degree", &["reconstruct", "guided"]),
     ("background", &["reconstruct", "guided"]),
     ("held_out", &["reconstruct", "guided"]),
     ("pose_source", &["poses"]),
+    ("key_points", &[]),
+    ("deliver", &[]),
     ("seed", &["poses", "enhance", "deblur", "reconstruct", "guided"]),
     ("adapter", &[]),
 ];
@@ -41,13 +44,15 @@ fn other(option: &str) -> Value {
         "guide" => json!("none"),
         "noise" => json!("paper"),
         "shake" => json!("off"),
+        "schedule" => json!("published"),
         "densify" => json!("classic"),
         "train_on" => json!("enhanced"),
         "refine_poses" | "late_views" => json!(false),
         "start" => json!("scratch"),
         "background" => json!("black"),
         "held_out" => json!("5"),
-        "pose_source" => json!("colmap"),
+        "pose_source" | "key_points" => json!("colmap"),
+        "deliver" => json!("last"),
         "adapter" => json!("other"),
         unknown => panic!("say another value of `{unknown}`, and what it makes stale"),
     }

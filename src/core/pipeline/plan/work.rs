@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::event::Stage;
 use crate::metrics::CaptureShake;
-use crate::pipeline::config::{NoiseMode, Options, Start};
+use crate::pipeline::config::{NoiseMode, Options, Pace, Start};
 use crate::pipeline::shaken;
 use crate::pipeline::views::HELD_OUT_FROM;
 use crate::reconstruct::{CORRECTIONS, Schedule};
@@ -186,7 +186,8 @@ impl Job {
         let schedule = Schedule {
             steps: options.steps,
             sh_degree: options.sh_degree,
-            resolution: true,
+            resolution: options.schedule == Pace::Adapted,
+            pace: options.schedule,
             warm: round > 1 && options.start == Start::Warm,
             seed: 0,
         };

@@ -3,7 +3,10 @@
 //! al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023, section 5.
 //!
 //! Opacities are reset every [`RESET_EVERY`] steps, as published: a shorter round never resets
-//! them, because it would end before they recover.
+//! them, because it would end before they recover. The published code's removal of Gaussians that
+//! are large on the screen has no effect (its issue 123), so there is none here.
+//!
+//! Differs from the paper: 3DGS grows without a cap. Buffers are allocated once, and memory ends.
 
 use glam::{Quat, Vec3};
 use rand::Rng;
@@ -55,7 +58,7 @@ pub struct Descendant {
 
 /// Plans a densification of `rows` into at most `cap`; the largest gradients come first. If none
 /// would survive, everything stays. `after_reset`: whether opacities have been reset, after which
-/// large Gaussians are removed.
+/// Gaussians are removed that are large even once they are split.
 pub fn plan(
     rows: &[GeometryRow],
     gradients: &[PositionGradient],
@@ -64,11 +67,9 @@ pub fn plan(
     after_reset: bool,
     random: &mut impl Rng,
 ) -> Vec<Descendant> {
-    let dies = |row: &GeometryRow| {
-        opacity(row) < MIN_OPACITY || (after_reset && largest(row) > LARGE * extent)
-    };
-    let kept: Vec<usize> = (0..rows.len()).filter(|&i| !dies(&rows[i])).collect();
-    let kept = if kept.is_empty() { (0..rows.len()).collect() } else { kept };
+    let all = || 0..rows.len();
+    let as_it_is = |source: usize| Descendant { source, row: rows[source], new: false };
+    let kept: Vec<usize> = all().filter(|&i| opacity(&rows[i]) >= MIN_OPACITY).collect();
     let mean = |i: usize| gradients[i].mean();
     let mut coarse: Vec<usize> = kept.iter().copied().filter(|&i| mean(i) >= THRESHOLD).collect();
     coarse.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
@@ -76,8 +77,7 @@ pub fn plan(
     let splits = |i: &usize| largest(&rows[*i]) > SMALL * extent;
     let split: std::collections::BTreeSet<usize> = coarse.iter().copied().filter(splits).collect();
     let stays = kept.iter().filter(|i| !split.contains(i));
-    let mut after: Vec<Descendant> =
-        stays.map(|&source| Descendant { source, row: rows[source], new: false }).collect();
+    let mut after: Vec<Descendant> = stays.map(|&source| as_it_is(source)).collect();
     for &source in &coarse {
         if !split.contains(&source) {
             after.push(Descendant { source, row: rows[source], new: true });
@@ -87,7 +87,8 @@ pub fn plan(
             after.push(Descendant { source, row: part(&rows[source], random), new: true });
         }
     }
-    after
+    after.retain(|one| !(after_reset && largest(&one.row) > LARGE * extent));
+    if after.is_empty() { all().map(as_it_is).collect() } else { after }
 }
 
 /// The longest half axis, world units.
@@ -212,6 +213,15 @@ mod tests {
             4,
             "without a survivor everything stays"
         );
+    }
+
+    #[test]
+    fn a_large_one_is_split_before_it_is_judged_by_its_size() {
+        let (large, giant) = (row(0.6, 0.015), row(0.6, 0.05));
+        let found = after(&[large, giant], &[LARGE_GRADIENT; 2], 9, true);
+        let kinds: Vec<_> = found.iter().map(|d| (d.source, d.new)).collect();
+        assert_eq!(kinds, [(0, true), (0, true)], "0.15 becomes 0.094, and 0.5 becomes 0.31");
+        assert_eq!(after(&[row(0.001, 0.05)], &[LARGE_GRADIENT], 9, false).len(), 1);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use glam::DVec3;
 
 use super::*;
 use crate::gaussians::Gaussians;
+use crate::reconstruct::Pace;
 use crate::splat::fixtures::{self, Random, cosine, relative_l2};
 use crate::splat::rasterize::{SLOT_ROW, gradient};
 use crate::splat::reference::{
@@ -12,8 +13,14 @@ use crate::splat::reference::{
 use crate::splat::rows::sh_row;
 use crate::splat::uniform::CameraUniform;
 
-const SCHEDULE: Schedule =
-    Schedule { steps: 1_000, sh_degree: 3, resolution: false, warm: false, seed: 5 };
+const SCHEDULE: Schedule = Schedule {
+    steps: 1_000,
+    sh_degree: 3,
+    resolution: false,
+    pace: Pace::Adapted,
+    warm: false,
+    seed: 5,
+};
 
 /// Gaussians, projected, with random gradients in their slots.
 struct Bench {

@@ -49,13 +49,15 @@ impl Trainer<'_> {
     fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
         let moments = self.optimizer.read_geometry_moments(rows.len())?;
         let mut after = self.descendants(rows, &moments, step);
-        if self.resets_opacities(step) {
+        let resets = self.resets_opacities(step);
+        if resets {
             for one in &mut after {
                 one.row.opacity_logit = classic::reset(one.row.opacity_logit);
             }
         }
         let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
-        let moments: Vec<_> = after.iter().map(|one| moments_after(one, &moments)).collect();
+        let moments: Vec<_> =
+            after.iter().map(|one| moments_after(one, &moments, resets)).collect();
         let gaussians = &mut self.model.pass.gaussians;
         gaussians.geometry.write(bytemuck::cast_slice(&geometry))?;
         let geometry_moments = &self.optimizer.geometry_moments;
@@ -99,12 +101,25 @@ impl Trainer<'_> {
     }
 }
 
-/// The source's moments without the accumulated gradients; zero for a new Gaussian.
-fn moments_after(one: &classic::Descendant, moments: &[GeometryMoments]) -> GeometryMoments {
+/// The source's moments without the accumulated gradients, and without those of its opacity after a
+/// reset; zero for a new Gaussian.
+fn moments_after(
+    one: &classic::Descendant,
+    moments: &[GeometryMoments],
+    resets: bool,
+) -> GeometryMoments {
     if one.new {
         return GeometryMoments::default();
     }
-    GeometryMoments { gradient_lengths: 0.0, gradient_views: 0.0, ..moments[one.source] }
+    let mut kept =
+        GeometryMoments { gradient_lengths: 0.0, gradient_views: 0.0, ..moments[one.source] };
+    if resets {
+        // The logit is the last trained number of a row.
+        for moment in [&mut kept.first, &mut kept.second] {
+            *moment.last_mut().expect("a row has numbers") = 0.0;
+        }
+    }
+    kept
 }
 
 /// Copies to each descendant the row of its source among the first `count`, or zeros if it does not
