@@ -1,10 +1,10 @@
 //! V_i: training from a checkpoint, the previous scene, or the sparse points.
 
+mod checkpoint;
 mod points;
 mod watch;
 
 use std::cell::RefCell;
-use std::path::Path;
 
 use fled_gpu::Gpu;
 use serde::{Deserialize, Serialize};
@@ -28,9 +28,6 @@ use crate::reconstruct::{
     Trained, TrainingView,
 };
 use watch::{Watch, Watched};
-
-/// The stamp of the checkpoint.
-const CHECKPOINT: &str = "checkpoint";
 
 /// V_i with the facts of its training, stored beside its `scene.ply`.
 #[derive(Clone, Debug)]
@@ -125,6 +122,7 @@ pub fn reconstruct(
             training: training.with_cameras(|camera| normalisation.within(camera)),
         })
     };
+    let mut is_trained = false;
     let make = |context: &mut Context<'_>| {
         let config = train_config(material, depends_on.options());
         let start = train_start(context, material, &config, depends_on)?;
@@ -135,6 +133,7 @@ pub fn reconstruct(
         let in_world = |camera: &Camera| normalisation.in_world(camera);
         let training = scene.training.clone().with_cameras(in_world);
         context.workspace.write_json(&facts, &training)?;
+        is_trained = true;
         if normalisation.is_identity() {
             return Ok(scene);
         }
@@ -144,7 +143,12 @@ pub fn reconstruct(
             training: training.with_cameras(|camera| normalisation.within(camera)),
         })
     };
-    context.once(Stage::Reconstruct, number, depends_on, load, make)
+    let scene = context.once(Stage::Reconstruct, number, depends_on, load, make)?;
+    if is_trained {
+        // It has served. That of a later round, which is to be resumed, stays.
+        context.workspace.remove(&context.workspace.folder().work().checkpoint())?;
+    }
+    Ok(scene)
 }
 
 fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
@@ -186,7 +190,7 @@ fn train_start(
     config: &TrainConfig,
     depends_on: &Dependencies,
 ) -> Result<TrainStart, PipelineError> {
-    if let Some(checkpoint) = checkpoint(context, material.round, depends_on) {
+    if let Some(checkpoint) = checkpoint::read(context, material.round.number, depends_on) {
         return Ok(TrainStart::Resume(checkpoint));
     }
     let options = depends_on.options();
@@ -203,25 +207,6 @@ fn train_start(
     Ok(TrainStart::Fresh(first))
 }
 
-fn checkpoint(
-    context: &mut Context<'_>,
-    round: &Round,
-    depends_on: &Dependencies,
-) -> Option<Checkpoint> {
-    let fingerprint = depends_on.fingerprint();
-    context.workspace.finished(CHECKPOINT, fingerprint)?;
-    let path = context.workspace.folder().work().checkpoint();
-    let read = std::fs::read(path).map(|bytes| Checkpoint::from_bytes(&bytes));
-    let Ok(Ok(checkpoint)) = read else {
-        let message = "the checkpoint cannot be read; the round starts over";
-        context.sink.warn("checkpoint", message.to_owned());
-        return None;
-    };
-    let (number, step) = (round.number, checkpoint.step);
-    context.sink.log(format!("round {number}: resumed at step {step}"));
-    Some(checkpoint)
-}
-
 /// Trains with the run's progress, cancellation and checkpoints.
 fn train(
     context: &mut Context<'_>,
@@ -235,7 +220,7 @@ fn train(
     let views = training_views(material, Split::Train);
     let cancel = context.cancel;
     let work = context.workspace.folder().work();
-    let (path, picture) = (work.checkpoint(), work.live_picture());
+    let picture = work.live_picture();
     let mut watch = Watch::new(&watched(material), config.steps);
     // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
@@ -245,7 +230,7 @@ fn train(
     };
     let mut keep = |checkpoint: &Checkpoint| {
         let context = &mut *shared.borrow_mut();
-        match keep_checkpoint(context.workspace, &path, checkpoint, depends_on) {
+        match checkpoint::keep(context.workspace, checkpoint, depends_on) {
             Ok(()) if cancel.is_cancelled() => {
                 let step = checkpoint.step;
                 let message = format!("round {number}: stopped at step {step}");
@@ -300,16 +285,6 @@ fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
         loss: seen.loss,
         gaussians: seen.gaussians as u64,
     }
-}
-
-fn keep_checkpoint(
-    workspace: &Workspace,
-    path: &Path,
-    checkpoint: &Checkpoint,
-    depends_on: &Dependencies,
-) -> Result<(), PipelineError> {
-    workspace.write(path, &checkpoint.to_bytes())?;
-    workspace.stamp(CHECKPOINT, depends_on.fingerprint(), 0.0)
 }
 
 /// The scene with the cameras of all views: those of training views as corrected in training, the

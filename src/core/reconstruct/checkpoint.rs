@@ -8,14 +8,14 @@ use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 8;
+const VERSION: u32 = 9;
 
 /// Number of arrays in a checkpoint.
 const ARRAYS: usize = 7;
 /// Bytes of the hash at the end.
 const HASH: usize = 32;
 
-/// The bytes are no checkpoint of this version.
+/// The bytes are no checkpoint of this version, or one of other inputs.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("checkpoint: {0}")]
 pub struct CheckpointError(pub String);
@@ -67,6 +67,7 @@ struct Header {
     non_finite: u32,
     seconds: f64,
     lengths: [u64; ARRAYS],
+    stamp: [u8; HASH],
 }
 
 impl Checkpoint {
@@ -81,8 +82,10 @@ impl Checkpoint {
         unpack_gaussians(&rows, &self.sh, self.sh_degree)
     }
 
-    /// The checkpoint as bytes: a header, then the arrays, little endian.
-    pub fn to_bytes(&self) -> Vec<u8> {
+    /// The checkpoint as bytes: a header, then the arrays, little endian. `inputs` identifies all
+    /// that the round depends on. It lies in the header, so that no kill leaves one without the
+    /// other.
+    pub fn to_bytes(&self, inputs: &str) -> Vec<u8> {
         let arrays = self.arrays();
         let header = Header {
             magic: MAGIC,
@@ -95,6 +98,7 @@ impl Checkpoint {
             non_finite: self.non_finite,
             seconds: self.seconds,
             lengths: arrays.map(|a| a.len() as u64),
+            stamp: stamp(inputs),
         };
         let mut bytes = bytemuck::bytes_of(&header).to_vec();
         for array in arrays {
@@ -120,11 +124,15 @@ impl Checkpoint {
     /// The inverse of [`Checkpoint::to_bytes`].
     ///
     /// # Errors
-    /// [`CheckpointError`] for bytes that are truncated, changed, or of another version.
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+    /// [`CheckpointError`] for bytes that are truncated, changed, of another version, or of other
+    /// inputs.
+    pub fn from_bytes(bytes: &[u8], inputs: &str) -> Result<Self, CheckpointError> {
         let content = intact(bytes)?;
         let (header, rest) = content.split_at(size_of::<Header>());
         let header: Header = bytemuck::pod_read_unaligned(header);
+        if header.stamp != stamp(inputs) {
+            return Err(fault("of another round, other options or another build"));
+        }
         let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions] =
             arrays(rest, &header.lengths)?;
         let out = Self {
@@ -154,6 +162,10 @@ impl Checkpoint {
             [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
         self.sh_degree <= 3 && expected == found
     }
+}
+
+fn stamp(inputs: &str) -> [u8; HASH] {
+    *blake3::hash(inputs.as_bytes()).as_bytes()
 }
 
 fn fault(message: &str) -> CheckpointError {
@@ -222,13 +234,17 @@ mod tests {
 
     #[test]
     fn a_checkpoint_round_trips_bit_for_bit() {
-        assert_eq!(Checkpoint::from_bytes(&checkpoint().to_bytes()), Ok(checkpoint()));
+        assert_eq!(
+            Checkpoint::from_bytes(&checkpoint().to_bytes("round 1"), "round 1"),
+            Ok(checkpoint())
+        );
     }
 
     #[test]
     fn a_truncated_damaged_or_foreign_checkpoint_is_refused() {
-        let bytes = checkpoint().to_bytes();
-        let refused = |bytes: &[u8]| Checkpoint::from_bytes(bytes).expect_err("refused").0;
+        let bytes = checkpoint().to_bytes("round 1");
+        let refused =
+            |bytes: &[u8]| Checkpoint::from_bytes(bytes, "round 1").expect_err("refused").0;
         assert_eq!(refused(&bytes[..20]), "too short");
         assert_eq!(refused(&bytes[..bytes.len() - 4]), "damaged");
         let mut changed = bytes.clone();
@@ -236,9 +252,11 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 9"));
+        assert!(refused(&newer).starts_with("version 10"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
-        assert_eq!(refused(&odd.to_bytes()), "its arrays do not match");
+        assert_eq!(refused(&odd.to_bytes("round 1")), "its arrays do not match");
+        let foreign = checkpoint().to_bytes("round 2");
+        assert_eq!(refused(&foreign), "of another round, other options or another build");
     }
 }

@@ -35,7 +35,7 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig, stop
         let begin = start(views, scene, config);
         let checkpoint =
             trainer::Trainer::new(gpu, views, begin, config).expect("made").frozen_at(stop);
-        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
+        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes("x"), "x").expect("a checkpoint");
         let resumed = trained(views, TrainStart::Resume(thawed), config);
         assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
@@ -58,7 +58,7 @@ fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
     };
     let undisturbed = trained(&views, start(&views, &scene, &config), &config);
     let goes_on = |checkpoint: &Checkpoint, stop: u32| {
-        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
+        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes("x"), "x").expect("a checkpoint");
         let resumed = trained(&views, TrainStart::Resume(thawed), &config);
         assert!(checkpoint.seconds > 0.0 && resumed.seconds > checkpoint.seconds);
         assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
