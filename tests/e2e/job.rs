@@ -100,17 +100,24 @@ fn a_run_killed_at_any_stage_resumes_to_the_same_scene() {
 }
 
 #[test]
-fn a_finished_run_is_not_repeated() {
+fn a_finished_run_is_not_repeated_but_files_that_are_gone_are_delivered_again() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
-    succeed(&mut small_run(&capture, &out, 1));
-    let written =
-        fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
-    succeed(&mut small_run(&capture, &out, 1));
-    let again =
-        fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
-    assert_eq!(written, again);
+    let run = || {
+        succeed(&mut small_run(&capture, &out, 1));
+        let trained = fs::metadata(out.join("rounds/1/scene.ply")).expect("scene");
+        trained.modified().expect("time")
+    };
+    let written = run();
+    assert_eq!(run(), written);
+    for name in ["scene.ply", "cameras.json"] {
+        let path = out.join(name);
+        let delivered = fs::read(&path).expect("delivered");
+        fs::remove_file(&path).expect("removed");
+        assert_eq!(run(), written, "trained again");
+        assert!(fs::read(&path).expect("delivered again") == delivered, "another {name}");
+    }
 }
 
 #[test]

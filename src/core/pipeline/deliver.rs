@@ -13,8 +13,8 @@ use crate::metrics::Report;
 /// The stamp of the whole run.
 const RUN: &str = "run";
 
-/// The report of an earlier delivery with equal dependencies. Without one, removes the stamp of any
-/// earlier delivery, because its files are about to be overwritten.
+/// The report of an earlier delivery with equal dependencies whose files are all there. Without one,
+/// removes the stamp of any earlier delivery, because its files are about to be overwritten.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -23,8 +23,10 @@ pub fn delivered(
     depends_on: &Dependencies,
 ) -> Result<Option<Report>, PipelineError> {
     let workspace = context.workspace;
+    let folder = workspace.folder();
     let finished = workspace.finished(RUN, depends_on.fingerprint());
-    let report: Option<Report> = workspace.read_json(&workspace.folder().metrics());
+    let report: Option<Report> = workspace.read_json(&folder.metrics());
+    let report = report.filter(|_| folder.scene().is_file() && folder.cameras().is_file());
     let (Some(seconds), Some(report)) = (finished, report) else {
         workspace.unstamp(RUN)?;
         return Ok(None);
