@@ -11,7 +11,7 @@ use fled_core::event::ProgressSink;
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
 use fled_core::pipeline::error::ErrorKind;
-use fled_core::pipeline::workspace::Workspace;
+use fled_core::pipeline::workspace::{Workspace, fingerprint};
 use serde_json::{Map, Value};
 
 use crate::failure::{Failure, io};
@@ -159,7 +159,7 @@ fn is_retired(key: &str) -> bool {
     retired
 }
 
-/// The folder with the photographs taken of a video; one that is there already serves.
+/// The folder with the photographs taken of a video; one that this build has made already serves.
 fn frames(
     args: &Args,
     scratch: &Path,
@@ -171,7 +171,8 @@ fn frames(
     let file = File::open(video).map_err(io(video))?;
     hasher.update_reader(file).map_err(io(video))?;
     let digest = hasher.finalize().to_hex();
-    let folder = scratch.join(format!("frames-{}-{}", args.frames, &digest[..16]));
+    let name = fingerprint(&[&args.frames.to_string(), &digest]);
+    let folder = scratch.join(format!("frames-{}", &name[..16]));
     if folder.is_dir() {
         return Ok(folder);
     }

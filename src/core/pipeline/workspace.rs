@@ -11,8 +11,9 @@ use crate::image::write_atomic;
 use crate::run_folder::RunFolder;
 
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
-/// inputs: a rerun then repeats the stage instead of trusting the artifacts on disk.
-pub const CODE_VERSION: u32 = 4;
+/// inputs: a rerun then repeats the stage instead of trusting the artifacts on disk, and cached
+/// poses, renders and frames of videos are made again. Golden runs cannot be blessed otherwise.
+pub const CODE_VERSION: u32 = 5;
 
 /// The output folder of one run. Cheap to clone; holds paths only.
 #[derive(Clone, Debug)]
@@ -131,10 +132,15 @@ impl Workspace {
     }
 }
 
-/// Hash of the parts, prefixed with [`CODE_VERSION`].
+/// Hash of the parts, prefixed with [`CODE_VERSION`]: the name or the stamp of whatever outlives the
+/// build that made it.
 pub fn fingerprint(parts: &[&str]) -> String {
+    fingerprint_by(CODE_VERSION, parts)
+}
+
+fn fingerprint_by(version: u32, parts: &[&str]) -> String {
     let mut hasher = blake3::Hasher::new();
-    hasher.update(&CODE_VERSION.to_le_bytes());
+    hasher.update(&version.to_le_bytes());
     for part in parts {
         hasher.update(&(part.len() as u64).to_le_bytes());
         hasher.update(part.as_bytes());
@@ -160,5 +166,12 @@ mod tests {
     fn a_fingerprint_separates_its_parts() {
         assert_ne!(fingerprint(&["ab", "c"]), fingerprint(&["a", "bc"]));
         assert_eq!(fingerprint(&["ab", "c"]), fingerprint(&["ab", "c"]));
+    }
+
+    #[test]
+    fn another_code_version_makes_another_fingerprint() {
+        let by = |version| fingerprint_by(version, &["ab", "c"]);
+        assert_ne!(by(CODE_VERSION), by(CODE_VERSION - 1));
+        assert_eq!(by(CODE_VERSION), fingerprint(&["ab", "c"]));
     }
 }

@@ -8,6 +8,7 @@ use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
+use fled_core::pipeline::workspace::fingerprint;
 use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint, ViewpointError};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
@@ -347,19 +348,15 @@ fn failed(error: &RenderError) -> Problem {
         .retry_after(RENDER_RETRY)
 }
 
-/// What a picture depends on: the scene's very file, the camera, the size, the format and what is
-/// shown.
+/// What a picture depends on: the build, the scene's very file, the camera, the size, the format and
+/// what is shown.
 fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let metadata = std::fs::metadata(scene)?;
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(scene.as_os_str().as_encoded_bytes());
-    hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
     let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);
-    hasher.update(
-        format!("{:?}{:?}{format:?}{shown:?}{ev:?}", camera.intrinsics, camera.world_to_camera)
-            .as_bytes(),
-    );
-    Ok(hasher.finalize().to_hex()[..32].to_owned())
+    let file = format!("{scene:?} {:?} {}", metadata.modified()?, metadata.len());
+    let view = format!("{:?} {:?}", camera.intrinsics, camera.world_to_camera);
+    let key = fingerprint(&[&file, &view, &format!("{format:?} {shown:?} {ev:?}")]);
+    Ok(key[..32].to_owned())
 }
 
 /// Removes the oldest pictures beyond `kept`.
@@ -378,5 +375,35 @@ fn trim(cache: &FilePath, kept: usize) {
     for (_, path) in &files[..files.len() - kept] {
         // Another request may have removed it meanwhile.
         let _ = std::fs::remove_file(path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_that_an_earlier_build_cached_is_not_served() {
+        let scene = tempfile::NamedTempFile::new().expect("temporary file");
+        let scene = scene.path();
+        let (width, height) = (64, 48);
+        let intrinsics = Intrinsics { width, height, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let world_to_camera = glam::DMat4::IDENTITY.transpose().to_cols_array_2d();
+        let camera =
+            NamedCamera { name: String::new(), intrinsics, world_to_camera, split: Split::Train };
+        let wanted =
+            Wanted { round: None, camera, format: Format::Png, shown: Shown::Colour, ev: 0.0 };
+        // As builds before CODE_VERSION 5 named it.
+        let about = std::fs::metadata(scene).expect("there");
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(scene.as_os_str().as_encoded_bytes());
+        hasher.update(format!("{:?}{}", about.modified().expect("known"), about.len()).as_bytes());
+        let camera = format!("{:?}{:?}", wanted.camera.intrinsics, wanted.camera.world_to_camera);
+        hasher.update(format!("{camera}{:?}{:?}{:?}", Format::Png, Shown::Colour, 0.0).as_bytes());
+        let earlier = hasher.finalize().to_hex();
+        let key = key(scene, &wanted).expect("a key");
+        assert_ne!(key, earlier[..32]);
+        let brighter = Wanted { ev: 1.0, ..wanted };
+        assert_ne!(super::key(scene, &brighter).expect("a key"), key);
     }
 }
