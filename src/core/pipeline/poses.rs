@@ -4,7 +4,9 @@
 mod deblurred;
 mod request;
 
+use std::fs::File;
 use std::path::PathBuf;
+use std::time::SystemTime;
 
 use deblurred::STRATEGY;
 use request::ask;
@@ -21,6 +23,9 @@ use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
 use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words, svg};
 
+/// Name of the folder in the cache that keeps poses, a file for each set of dependencies.
+pub const CACHED: &str = "poses";
+
 /// The stage: the poses, once, and what the user should know about them.
 ///
 /// # Errors
@@ -36,7 +41,7 @@ pub fn poses(
     let depends_on =
         PosesDependencies::new(options, &capture.fingerprint, &source, &tools.networks());
     let cache = Cache {
-        folder: tools.cache.as_ref().map(|cache| cache.join("poses")),
+        folder: tools.cache.as_ref().map(|cache| cache.join(CACHED)),
         depends_on: &depends_on,
     };
     let path = context.workspace.folder().work().found_poses();
@@ -107,15 +112,23 @@ impl Cache<'_> {
         of(&self.depends_on.first).or_else(|| of(&self.depends_on.second))
     }
 
+    /// Keeps the poses, or records in the time of their file that they were used: what clears the
+    /// cache goes by that.
     fn write(&self, workspace: &Workspace, poses: &Poses) -> Result<(), PipelineError> {
         let of = match poses.network {
             None => &self.depends_on.first,
             Some(_) => &self.depends_on.second,
         };
-        match self.file(of).filter(|file| !file.exists()) {
-            Some(file) => workspace.write_json(&file, poses),
-            None => Ok(()),
+        let Some(file) = self.file(of) else {
+            return Ok(());
+        };
+        if !file.exists() {
+            return workspace.write_json(&file, poses);
         }
+        let used = File::options().write(true).open(&file);
+        // The cache may be another user's, who keeps the time.
+        let _ = used.and_then(|file| file.set_modified(SystemTime::now()));
+        Ok(())
     }
 }
 

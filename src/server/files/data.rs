@@ -11,6 +11,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use fled_core::pipeline::poses::CACHED;
 use fled_core::run_folder::RunFolder;
 use rustix::fs::{FlockOperation, flock, statvfs};
 
@@ -159,9 +160,14 @@ impl DataDir {
         kept.file_name().map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
-    /// The folder that the jobs of a capture share: its poses.
+    /// The folder that all jobs share: poses, and the costs of stages.
     pub fn cache(&self) -> PathBuf {
         self.root.join("cache")
+    }
+
+    /// The poses in it, a file for each capture and what else they depend on.
+    pub fn cached_poses(&self) -> PathBuf {
+        self.cache().join(CACHED)
     }
 
     /// The folder of a job.

@@ -59,7 +59,10 @@ impl Janitor<'_> {
                 }
             }
             Name::Caches => {
-                add(&data.cache(), self.caches, &|_| true)?;
+                let is_file = |entry: &DirEntry| entry.file_type().is_ok_and(|kind| kind.is_file());
+                add(&data.cache(), self.caches, &is_file)?;
+                // Each is used by itself, and a run touches the one that it uses.
+                add(&data.cached_poses(), self.caches, &|_| true)?;
                 // A server keeps its renders.
                 if self.app.is_none() {
                     for id in ids("jobs").await? {

@@ -196,6 +196,24 @@ fn only_what_no_network_had_a_hand_in_serves_every_network() {
 }
 
 #[test]
+fn cached_poses_are_as_young_as_their_last_use() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
+    let networks = Networks { deblur: Identity.describe(), enhance: None };
+    let depends_on = PosesDependencies::new(&Options::default(), "capture", "source", &networks);
+    let cache = Cache { folder: Some(home.path().join(CACHED)), depends_on: &depends_on };
+    let poses = placed(18, false, 'A');
+    cache.write(&workspace, &poses).expect("written");
+    let file = cache.file(&depends_on.first).expect("a cache");
+    let about = || std::fs::metadata(&file).expect("there").modified().expect("known");
+    let day = std::time::Duration::from_secs(24 * 3600);
+    let opened = File::options().write(true).open(&file).expect("opened");
+    opened.set_modified(SystemTime::now() - 29 * day).expect("set");
+    cache.write(&workspace, &poses).expect("used");
+    assert!(about().elapsed().expect("past") < day);
+}
+
+#[test]
 fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_figures() {
     let mut told = Vec::new();
     let mut sink = |event: &Event| {

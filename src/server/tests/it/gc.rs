@@ -54,13 +54,13 @@ fn a_dry_run_lists_exactly_what_is_removed() {
     let data = server.data.path().join("data");
     write(&data.join("captures/left/images/a.jpg"), 1000);
     write(&data.join("unnamed/jobs/old/log.txt"), 2000);
-    write(&data.join("cache/poses.json"), 3000);
+    write(&data.join("cache/poses/a.json"), 3000);
     write(&data.join("incoming/half/images/a.jpg"), 4000);
     let (would, _) = collect(&data, &LOOK);
     let bytes = |path: &str| would.get(path).map(|(bytes, _)| *bytes);
     assert_eq!(bytes("captures/left"), Some(0), "{would:#?}");
     assert_eq!(bytes("unnamed/jobs/old"), Some(2000));
-    assert_eq!(bytes("cache/poses.json"), Some(3000));
+    assert_eq!(bytes("cache/poses/a.json"), Some(3000));
     assert_eq!(bytes("incoming/half"), Some(4000));
     assert!(bytes(&format!("jobs/{expired}")).is_some_and(|bytes| bytes > 10_000));
     let render = format!("jobs/{kept}/renders/");
@@ -79,6 +79,24 @@ fn a_dry_run_lists_exactly_what_is_removed() {
     server.restart();
     server.get(&format!("/v1/jobs/{kept}/artifacts/scene.ply"), &[]).expect(200);
     server.get(&format!("/v1/jobs/{expired}"), &[]).expect(404);
+}
+
+#[test]
+fn cached_poses_go_one_by_one_when_they_were_not_used_for_long() {
+    let mut server = Server::start();
+    server.kill();
+    let data = server.data.path().join("data");
+    for name in ["unused", "used"] {
+        write(&data.join(format!("cache/poses/{name}.json")), 10);
+    }
+    std::thread::sleep(Duration::from_millis(1100));
+    let used = fs::File::options().write(true).open(data.join("cache/poses/used.json"));
+    used.expect("there").set_modified(std::time::SystemTime::now()).expect("touched");
+    write(&data.join("cache/poses/new.json"), 10);
+    write(&data.join("cache/costs.json"), 10);
+    let (gone, _) = collect(&data, &GcOptions { caches: Duration::from_secs(1), ..DO });
+    let gone: Vec<&str> = gone.keys().map(String::as_str).collect();
+    assert_eq!(gone, ["cache/poses/unused.json"]);
 }
 
 #[test]
