@@ -8,10 +8,11 @@ pub mod egress;
 mod post;
 mod sign;
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::task::JoinSet;
+use tokio::task::{self, JoinError, JoinSet};
 
 use crate::app::App;
 use crate::store::{DeliveryRow, Then, Tried, WebhookRow, now_ms};
@@ -38,10 +39,9 @@ const AFTER_FAULT: Duration = Duration::from_secs(5);
 /// slow endpoint delays only its own.
 pub async fn keep_telling(app: Arc<App>) {
     let mut changes = app.store.changes();
-    let mut on_their_way = JoinSet::new();
-    let mut busy: Vec<String> = Vec::new();
+    let mut on_their_way = OnTheirWay::new(AFTER_FAULT);
     loop {
-        let wait = match send_due(&app, &mut busy, &mut on_their_way).await {
+        let wait = match send_due(&app, &mut on_their_way).await {
             Ok(wait) => wait,
             Err(error) => {
                 tracing::warn!(%error, "cannot look for webhook deliveries");
@@ -51,51 +51,96 @@ pub async fn keep_telling(app: Arc<App>) {
         tokio::select! {
             () = tokio::time::sleep(wait) => {}
             _ = changes.changed() => {}
-            Some(Ok(webhook)) = on_their_way.join_next() => busy.retain(|one| *one != webhook),
+            Some(()) = on_their_way.one_ends() => {}
             // Deliveries in flight are sent again at the next start.
             () = app.shutdown.cancelled() => return,
         }
     }
 }
 
+/// The tasks of deliveries in flight, at most one per webhook.
+#[derive(Debug)]
+struct OnTheirWay {
+    tasks: JoinSet<()>,
+    webhooks: HashMap<task::Id, String>,
+    /// How long a webhook whose delivery panicked has no other.
+    pause: Duration,
+}
+
+impl OnTheirWay {
+    fn new(pause: Duration) -> Self {
+        Self { tasks: JoinSet::new(), webhooks: HashMap::new(), pause }
+    }
+
+    fn begin(&mut self, webhook: String, task: impl Future<Output = ()> + Send + 'static) {
+        self.webhooks.insert(self.tasks.spawn(task).id(), webhook);
+    }
+
+    /// The webhooks with a delivery in flight.
+    fn busy(&self) -> Vec<String> {
+        self.webhooks.values().cloned().collect()
+    }
+
+    /// Waits until a task ends, whether well or by a panic; `None` if there is none. Cancel-safe.
+    async fn one_ends(&mut self) -> Option<()> {
+        let ended = self.tasks.join_next_with_id().await?;
+        let id = ended.as_ref().map_or_else(JoinError::id, |(id, ())| *id);
+        let webhook = self.webhooks.remove(&id);
+        if let (Err(error), Some(webhook)) = (ended, webhook) {
+            tracing::error!(%error, webhook, "a webhook's delivery failed in this server");
+            // Its attempt is not recorded, so the delivery may be due at once.
+            self.begin(webhook, tokio::time::sleep(self.pause));
+        }
+        Some(())
+    }
+}
+
 /// Starts due deliveries within the limit, and returns how long to wait for the next.
-async fn send_due(
-    app: &Arc<App>,
-    busy: &mut Vec<String>,
-    on_their_way: &mut JoinSet<String>,
-) -> crate::error::Result<Duration> {
+async fn send_due(app: &Arc<App>, on_their_way: &mut OnTheirWay) -> crate::error::Result<Duration> {
+    let busy = on_their_way.busy();
     let room = AT_ONCE.saturating_sub(busy.len());
     if room == 0 {
         return Ok(LOOK_EVERY);
     }
-    for (mut delivery, webhook) in app.store.due_deliveries(busy, room as u32).await? {
+    for (mut delivery, webhook) in app.store.due_deliveries(&busy, room as u32).await? {
         // Other processes that share the database find it due too.
         if !app.store.take_delivery(&mut delivery).await? {
             continue;
         }
-        busy.push(webhook.id.clone());
-        let app = app.clone();
-        on_their_way.spawn(async move {
-            let tried = attempt(&app, &delivery, &webhook).await;
-            tracing::info!(
-                webhook = webhook.id,
-                delivery = delivery.id,
-                answer = tried.answer,
-                "sent a webhook delivery"
-            );
-            if let Err(error) = app.store.note_attempt(&delivery, &tried).await {
-                tracing::warn!(%error, "cannot record a webhook delivery");
-                tokio::time::sleep(AFTER_FAULT).await;
-            }
-            webhook.id
-        });
+        on_their_way.begin(webhook.id.clone(), deliver(app.clone(), delivery, webhook));
     }
-    let next = app.store.next_delivery(busy).await?;
+    let next = app.store.next_delivery(&on_their_way.busy()).await?;
     let now = app.store.now().await?;
     let wait = next.map_or(LOOK_EVERY, |next| {
         Duration::from_millis(u64::try_from(next - now).unwrap_or_default())
     });
     Ok(wait.min(LOOK_EVERY))
+}
+
+/// Makes one attempt and records its outcome.
+async fn deliver(app: Arc<App>, delivery: DeliveryRow, webhook: WebhookRow) {
+    let id = webhook.id.clone();
+    let (attempts, sent) = (delivery.attempts, delivery.clone());
+    let at = app.clone();
+    let tried = outcome(attempts, async move { attempt(&at, &sent, &webhook).await }).await;
+    tracing::info!(
+        webhook = id,
+        delivery = delivery.id,
+        answer = tried.answer,
+        "sent a webhook delivery"
+    );
+    if let Err(error) = app.store.note_attempt(&delivery, &tried).await {
+        tracing::warn!(%error, "cannot record a webhook delivery");
+        tokio::time::sleep(AFTER_FAULT).await;
+    }
+}
+
+/// The outcome of an attempt after `attempts` others; one that panics has failed.
+async fn outcome(attempts: u32, attempt: impl Future<Output = Tried> + Send + 'static) -> Tried {
+    tokio::spawn(attempt).await.unwrap_or_else(|error| {
+        tracing::error!(%error, "an attempt at a webhook's delivery panicked");
+        Tried { then: again(attempts), answer: "the attempt failed in the server".to_owned() }
+    })
 }
 
 async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tried {
@@ -143,5 +188,23 @@ mod tests {
         }
         assert!(hours > 24 * 3_600_000, "{hours}");
         assert_eq!(again(WAITS.len() as u32), Then::GivenUp);
+    }
+
+    #[tokio::test]
+    async fn an_attempt_that_panics_has_failed_and_is_retried() {
+        let tried = outcome(0, async { panic!("a fault of this server") }).await;
+        assert_eq!(tried.then, Then::After(WAITS[0] * 1000));
+        assert!(!tried.answer.contains("a fault"), "it is shown to users: {}", tried.answer);
+    }
+
+    #[tokio::test]
+    async fn a_panic_does_not_block_its_webhook() {
+        let mut on_their_way = OnTheirWay::new(Duration::from_millis(1));
+        on_their_way.begin("a".to_owned(), std::future::pending());
+        on_their_way.begin("b".to_owned(), async { panic!("a fault of this server") });
+        assert_eq!(on_their_way.one_ends().await, Some(()));
+        assert_eq!(on_their_way.busy().len(), 2, "it would be due again at once");
+        assert_eq!(on_their_way.one_ends().await, Some(()));
+        assert_eq!(on_their_way.busy(), ["a"]);
     }
 }
