@@ -67,8 +67,8 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     let (lease, job, id) = (&claim.lease, &claim.job, &claim.job.id);
     // From the start: fetching files may take longer than a lease.
     let mut heartbeat = Heartbeat::begin(app, lease.clone());
-    if !is_prepared(app, claim).await? {
-        return Ok(Settlement::Released);
+    if let Some(settlement) = prepare(app, claim, &cancel, &mut heartbeat).await? {
+        return Ok(settlement);
     }
     app.pass(Failpoint::Fetched);
     let (command, arguments) = prepare_process(app, job)?;
@@ -159,26 +159,36 @@ fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Ve
     Ok((command, arguments))
 }
 
-/// Fetches what a job begins with; `false` where the worker stops meanwhile: what it has fetched
-/// is whole, and nothing is made yet.
-async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
+/// Fetches what a job begins with. `Some` if the attempt ends meanwhile: what it has fetched is
+/// whole, and nothing is made yet.
+async fn prepare(
+    app: &App,
+    claim: &Claim,
+    cancel: &Notify,
+    heartbeat: &mut Heartbeat,
+) -> Result<Option<Settlement>> {
     tokio::select! {
-        prepared = sharing::prepare_job(app, claim) => prepared.map(|()| true),
-        () = app.shutdown.cancelled() => Ok(false),
+        prepared = sharing::prepare_job(app, claim) => prepared.map(|()| None),
+        settlement = stopped(app, &claim.job.id, cancel, heartbeat) => settlement.map(Some),
     }
 }
 
 /// Waits for an external event that ends an attempt.
-async fn stopped(app: &App, job: &str, cancel: &Notify, heartbeat: &mut Heartbeat) -> Result<End> {
+async fn stopped(
+    app: &App,
+    job: &str,
+    cancel: &Notify,
+    heartbeat: &mut Heartbeat,
+) -> Result<Settlement> {
     tokio::select! {
         pulse = heartbeat.next() => match pulse {
-            Pulse::Cancel => Ok(End::Stop(Settlement::Stopped)),
+            Pulse::Cancel => Ok(Settlement::Stopped),
             Pulse::Lost => Err(ServerError::LeaseLost(job.to_owned())),
         },
-        () = cancel.notified() => Ok(End::Stop(Settlement::Stopped)),
+        () = cancel.notified() => Ok(Settlement::Stopped),
         () = app.shutdown.cancelled() => {
             app.pass(Failpoint::Stopping);
-            Ok(End::Stop(Settlement::Released))
+            Ok(Settlement::Released)
         }
     }
 }
@@ -228,7 +238,7 @@ impl Attempt<'_> {
                         None => return self.exit(group).await,
                     },
                 },
-                end = stopped(app, &job, cancel, heartbeat) => return end,
+                end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
                 _ = publish.tick() => Due::Publishing,
                 _ = flush.tick() => Due::Progress,
                 () = sleep_until(silence) => return self.timed_out("was silent", limits.silence).await,
@@ -241,7 +251,7 @@ impl Attempt<'_> {
             // handled.
             tokio::select! {
                 done = self.follow(due) => done?,
-                end = stopped(app, &job, cancel, heartbeat) => return end,
+                end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
             }
         }
     }

@@ -73,7 +73,12 @@ async fn heartbeat(
                 }
                 continue;
             }
-            Ok(Ok(true)) => Pulse::Cancel,
+            Ok(Ok(true)) => {
+                heard = asked;
+                // It is heard once; until the attempt has ended, it keeps its lease.
+                let _ = tell.try_send(Pulse::Cancel);
+                continue;
+            }
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
             Ok(Err(error)) if heard.elapsed() < limits.unheard => {
                 tracing::warn!(%error, job = lease.job, "cannot extend a lease");
@@ -89,8 +94,38 @@ async fn heartbeat(
                 Pulse::Lost
             }
         };
-        if tell.send(pulse).await.is_err() {
-            return;
-        }
+        // Nothing is left to extend.
+        let _ = tell.send(pulse).await;
+        return;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::store::tests::{create, in_a_file, keep_capture};
+    use crate::store::{JobKind, Machine};
+
+    #[tokio::test]
+    async fn a_cancel_that_no_one_hears_does_not_end_the_lease() {
+        let (_dir, store) = in_a_file().await;
+        keep_capture(&store, "c", None, &[]).await;
+        create(&store, "j").await;
+        let (lease, heartbeat) = (Duration::from_millis(400), Duration::from_millis(40));
+        let limits = Limits { lease, heartbeat, ..Limits::default() };
+        let claim = store.claim_fit(JobKind::Scene, "w", limits.lease_ms(), &[], Machine::ANY);
+        let lease = claim.await.expect("claimed").expect("a job").lease;
+        let (tell, mut told) = mpsc::channel(1);
+        let beats = super::heartbeat(store.clone(), limits, None, lease, tell);
+        let beats = tokio::spawn(beats);
+        store.request_cancel("j").await.expect("cancelled");
+        // As long as two leases, files are fetched.
+        tokio::time::sleep(2 * limits.lease).await;
+        let lost = store.release_expired(|deaths| panic!("lost {deaths} times")).await;
+        assert_eq!(lost.expect("looked"), [""; 0]);
+        assert_eq!(told.recv().await, Some(Pulse::Cancel));
+        beats.abort();
     }
 }

@@ -273,6 +273,29 @@ fn a_failing_or_slow_bucket_loses_nothing() {
 }
 
 #[test]
+fn a_job_cancelled_while_its_files_are_fetched_ends_at_once() {
+    let farm = Farm::with_bucket();
+    let bucket = farm.bucket.as_ref().expect("a bucket");
+    let (_api, api) = farm.replica("api");
+    let job = order(&api, "ok");
+    // Longer than a lease.
+    let slow = Fault::Late(Duration::from_secs(20));
+    bucket.misbehave(move |request| if request.starts_with("GET") { slow } else { Fault::None });
+    let before = bucket.count("GET");
+    let _worker = farm.worker("worker");
+    let begun = Instant::now();
+    while bucket.count("GET") == before {
+        assert!(begun.elapsed() < PATIENCE, "it fetches nothing");
+        sleep(Duration::from_millis(10));
+    }
+    let begun = Instant::now();
+    api.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202);
+    api.wait_state(&job, "cancelled");
+    assert!(begun.elapsed() < Duration::from_secs(5), "{:?}", begun.elapsed());
+    assert_eq!(api.show(&job)["attempts"], 1);
+}
+
+#[test]
 fn a_replica_that_dies_during_an_upload_leaves_nothing() {
     let farm = Farm::new();
     let calm = expected();
