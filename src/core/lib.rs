@@ -21,6 +21,7 @@ pub mod export;
 pub mod features;
 mod ffmpeg;
 pub mod gaussians;
+mod group;
 pub mod image;
 pub mod inference;
 mod linear;

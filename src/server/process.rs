@@ -1,15 +1,20 @@
 //! Child processes in groups of their own, read line by line.
+//!
+//! A group is signalled only while its leader has not been reaped: afterwards the kernel may give
+//! its number to another one.
 
 pub mod parent_death;
 
 use std::ffi::OsString;
 use std::io;
+use std::os::unix::process::ExitStatusExt;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::process::{Child, ChildStdin, Command};
+use tokio::signal::unix::{self, SignalKind};
 use tokio::sync::mpsc;
 
 /// Longer lines are truncated: a runaway tool must not fill memory.
@@ -48,11 +53,42 @@ pub enum Happening {
 #[derive(Debug)]
 pub struct Group {
     child: Child,
-    ended: bool,
     pid: Pid,
+    ends: Ends,
+    /// Whether [`Group::next`] has returned its end.
+    is_told: bool,
+    is_reaped: bool,
     /// Its standard input.
     pub stdin: Option<ChildStdin>,
     lines: mpsc::Receiver<Line>,
+}
+
+/// Notices the end of a child without reaping it.
+#[derive(Debug)]
+struct Ends {
+    /// SIGCHLD: some child has ended.
+    children: unix::Signal,
+    status: Option<ExitStatus>,
+}
+
+impl Ends {
+    /// Returns the exit status once the process has ended. Cancel-safe.
+    async fn status_of(&mut self, pid: Pid) -> io::Result<ExitStatus> {
+        loop {
+            if let Some(status) = self.status {
+                return Ok(status);
+            }
+            let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+            match waitid(WaitId::Pid(pid), look)? {
+                Some(ended) => {
+                    let signal = ended.terminating_signal();
+                    let code = ended.exit_status().unwrap_or_default() << 8;
+                    self.status = Some(ExitStatus::from_raw(signal.unwrap_or(code)));
+                }
+                None => _ = self.children.recv().await,
+            }
+        }
+    }
 }
 
 impl Group {
@@ -83,6 +119,8 @@ impl Group {
                 command.env_remove(name);
             }
         }
+        // Before the child, whose end would be missed otherwise.
+        let children = unix::signal(SignalKind::child())?;
         let mut child = command
             .args(first)
             .args(arguments)
@@ -105,7 +143,8 @@ impl Group {
         if let Some(stderr) = stderr {
             tokio::spawn(read_lines(stderr, Line::Error, sender));
         }
-        Ok(Self { child, ended: false, pid, stdin, lines })
+        let ends = Ends { children, status: None };
+        Ok(Self { child, pid, ends, is_told: false, is_reaped: false, stdin, lines })
     }
 
     /// The id of the process and of its group.
@@ -126,8 +165,8 @@ impl Group {
         tokio::select! {
             biased;
             line = self.lines.recv() => Ok(line.map_or(Happening::Closed, Happening::Line)),
-            status = self.child.wait(), if !self.ended => {
-                self.ended = true;
+            status = self.ends.status_of(self.pid), if !self.is_told => {
+                self.is_told = true;
                 status.map(Happening::Ended)
             }
         }
@@ -138,25 +177,32 @@ impl Group {
     /// # Errors
     /// When the operating system does not report the exit status.
     pub async fn wait(&mut self) -> io::Result<ExitStatus> {
-        self.child.wait().await
+        self.ends.status_of(self.pid).await
     }
 
-    /// Asks the group to end, and kills it after `grace`. Returns once the process is gone.
+    /// Asks the group to end, and kills it after `grace`, with all that it has left behind. Returns
+    /// once the process is gone.
     pub async fn stop(&mut self, grace: Duration) {
         self.signal(Signal::TERM);
-        if tokio::time::timeout(grace, self.child.wait()).await.is_err() {
-            self.signal(Signal::KILL);
-            if let Err(error) = self.child.wait().await {
+        // Whether it ended in time or not, the rest of its group must go.
+        let _ = tokio::time::timeout(grace, self.wait()).await;
+        self.signal(Signal::KILL);
+        match self.child.wait().await {
+            Ok(status) => {
+                self.ends.status = Some(status);
+                self.is_reaped = true;
+            }
+            Err(error) => {
                 tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
             }
         }
-        // Processes that it has started and left behind.
-        self.signal(Signal::KILL);
     }
 
     fn signal(&self, signal: Signal) {
-        // An empty group is no error: all its processes have ended.
-        let _ = kill_process_group(self.pid, signal);
+        if !self.is_reaped {
+            // An empty group is no error: all its processes have ended.
+            let _ = kill_process_group(self.pid, signal);
+        }
     }
 }
 
@@ -228,5 +274,20 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(100)).await;
         let state = std::fs::read_to_string(format!("/proc/{grandchild}/stat")).unwrap_or_default();
         assert!(state.is_empty() || state.contains(") Z "), "the grandchild lives: {state}");
+    }
+
+    #[tokio::test]
+    async fn the_number_of_a_group_is_its_own_until_it_was_signalled_last() {
+        let script = "trap '' TERM; sleep 60 >&- 2>&- & kill -9 $$";
+        let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
+        let state = format!("/proc/{}/stat", group.pid());
+        let state = || std::fs::read_to_string(&state).unwrap_or_default();
+        let status = group.wait().await.expect("status");
+        assert_eq!(status.signal(), Some(9));
+        assert_eq!(group.wait().await.expect("status"), status);
+        assert!(state().contains(") Z "), "reaped before its group was stopped: {}", state());
+        group.stop(Duration::ZERO).await;
+        assert_eq!(state(), "");
+        group.stop(Duration::ZERO).await;
     }
 }

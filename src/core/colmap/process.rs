@@ -10,9 +10,8 @@ use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 
-use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
-
 use crate::cancel::CancelToken;
+use crate::group::Group;
 use crate::poses::PosesError;
 
 /// How often a running command is looked at: a cancel is obeyed within two of these.
@@ -143,20 +142,15 @@ impl Runner {
         cancel.check()?;
         self.note(&format!("$ colmap {command} {}", arguments.join(" ")));
         let mut child = self.spawn(command, arguments)?;
-        let output = read_output(child.as_mut());
-        let outcome = self.watch(command, child.as_mut(), &output, cancel);
+        let output = read_output(&mut child);
+        let outcome = self.watch(command, &mut child, &output, cancel);
         if outcome.is_err() {
-            // The group may be gone already; what counts is that nothing of it is left.
-            let _ = child.kill();
+            child.kill();
         }
         outcome
     }
 
-    fn spawn(
-        &self,
-        command: &str,
-        arguments: &[String],
-    ) -> Result<Box<dyn ChildWrapper>, PosesError> {
+    fn spawn(&self, command: &str, arguments: &[String]) -> Result<Group, PosesError> {
         let missing = |source: std::io::Error| PosesError::Missing {
             program: self.program.display().to_string(),
             reason: source.to_string(),
@@ -171,14 +165,14 @@ impl Runner {
         };
         process.arg(command).args(arguments).env("QT_QPA_PLATFORM", "offscreen");
         process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        CommandWrap::from(process).wrap(ProcessGroup::leader()).spawn().map_err(missing)
+        Group::spawn(&mut process).map_err(missing)
     }
 
     /// Follows the child until it ends.
     fn watch(
         &self,
         command: &str,
-        child: &mut dyn ChildWrapper,
+        child: &mut Group,
         output: &Receiver<Vec<u8>>,
         cancel: &CancelToken,
     ) -> Result<Finished, PosesError> {
@@ -258,7 +252,7 @@ fn keep(tail: &mut VecDeque<u8>, bytes: &[u8]) {
 }
 
 /// Both streams through one bounded channel. The readers end with the pipes.
-fn read_output(child: &mut dyn ChildWrapper) -> Receiver<Vec<u8>> {
+fn read_output(child: &mut Group) -> Receiver<Vec<u8>> {
     fn forward(stream: Option<impl Read + Send + 'static>, sender: SyncSender<Vec<u8>>) {
         let Some(mut stream) = stream else { return };
         std::thread::spawn(move || {
@@ -271,8 +265,9 @@ fn read_output(child: &mut dyn ChildWrapper) -> Receiver<Vec<u8>> {
         });
     }
     let (sender, receiver) = sync_channel(16);
-    forward(child.stdout().take(), sender.clone());
-    forward(child.stderr().take(), sender);
+    let (stdout, stderr) = child.outputs();
+    forward(stdout, sender.clone());
+    forward(stderr, sender);
     receiver
 }
 

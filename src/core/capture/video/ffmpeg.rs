@@ -10,11 +10,10 @@ use std::process::{ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
-use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
-
 use super::error::VideoError;
 use crate::cancel::CancelToken;
 use crate::ffmpeg::{Words, command, last_line};
+use crate::group::Group;
 
 /// Most pixels of a frame that is decoded.
 const MOST_PIXELS: usize = 40_000_000;
@@ -65,12 +64,12 @@ impl Ffmpeg<'_> {
             Output::Chunks(length, take) => (length, take),
             Output::Folder(_) => (1, &mut drop_it),
         };
-        let words = Words::of(child.stderr().take());
-        let chunks = chunks(child.stdout().take(), length);
-        let outcome = self.follow(child.as_mut(), &chunks, take);
+        let (stdout, stderr) = child.outputs();
+        let words = Words::of(stderr);
+        let chunks = chunks(stdout, length);
+        let outcome = self.follow(&mut child, &chunks, take);
         if outcome.is_err() {
-            // It may have ended; what counts is that nothing of it is left.
-            let _ = child.kill();
+            child.kill();
         }
         drop(chunks);
         let status = outcome?;
@@ -89,11 +88,7 @@ impl Ffmpeg<'_> {
         VideoError::Missing { program: program.unwrap_or_default().into_owned(), reason }
     }
 
-    fn spawn(
-        &self,
-        arguments: &[String],
-        output: &Output<'_>,
-    ) -> Result<Box<dyn ChildWrapper>, VideoError> {
+    fn spawn(&self, arguments: &[String], output: &Output<'_>) -> Result<Group, VideoError> {
         let pixels = MOST_PIXELS.to_string();
         // Where it is started is another folder, and a name may begin like an option.
         let video = absolute(self.video).map_err(VideoError::io(self.video))?;
@@ -116,16 +111,13 @@ impl Ffmpeg<'_> {
         if let Output::Folder(folder) = output {
             command.current_dir(folder);
         }
-        CommandWrap::from(command)
-            .wrap(ProcessGroup::leader())
-            .spawn()
-            .map_err(|source| self.missing(source.to_string()))
+        Group::spawn(&mut command).map_err(|source| self.missing(source.to_string()))
     }
 
     /// How it ended; `None` where it was stopped because no more is wanted.
     fn follow(
         &self,
-        child: &mut dyn ChildWrapper,
+        child: &mut Group,
         chunks: &Receiver<Vec<u8>>,
         take: Take<'_>,
     ) -> Result<Option<ExitStatus>, VideoError> {
@@ -136,7 +128,7 @@ impl Ffmpeg<'_> {
             }
             match chunks.recv_timeout(POLL) {
                 Ok(chunk) if !take(&chunk) => {
-                    let _ = child.kill();
+                    child.kill();
                     return Ok(None);
                 }
                 Ok(_) | Err(RecvTimeoutError::Timeout) => {}
