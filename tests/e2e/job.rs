@@ -14,7 +14,7 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
-    succeed(&mut small_run(&capture, &out, 2));
+    succeed(small_run(&capture, &out, 2).args(["--set", "steps=120"]));
 
     let report = json(&out.join("metrics.json"));
     assert_eq!(report["rounds"].as_array().expect("rounds").len(), 2);

@@ -47,7 +47,7 @@ pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     command.arg("--cache").arg(capture.with_file_name("cache"));
     for set in [
         "size=128",
-        "steps=120",
+        "steps=48",
         "cap=1500",
         "pose_source=given",
         "train_on=deblurred",

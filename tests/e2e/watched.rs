@@ -10,7 +10,7 @@ use crate::support::{json, small_capture, small_run, succeed};
 /// The events with these names from a run of one round, in order.
 fn told(capture: &Path, out: &Path, options: &[&str], names: &[&str]) -> Vec<Value> {
     let mut run = small_run(capture, out, 1);
-    for set in options {
+    for set in ["steps=120"].iter().chain(options) {
         run.args(["--set", set]);
     }
     let output = succeed(run.arg("--json"));

@@ -84,6 +84,7 @@ fn fox_registers_every_photograph_where_the_sharp_set_has_it() {
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn sceaux_registers_every_photograph_where_the_sharp_set_has_it() {
     register("sceaux");
 }
