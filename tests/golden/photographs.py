@@ -48,6 +48,11 @@ def main() -> None:
     shapes.save(OUT / "scene.jpg", quality=85)
     shapes.save(OUT / "scene-restart.jpg", quality=85, restart_marker_rows=1)
     shapes.save(OUT / "scene-progressive.jpg", quality=85, progressive=True)
+    # A table, say, that reaches from the middle to the right border and begins with a row of blocks.
+    table = scene()
+    table[48:, 72:] = numpy.clip(table[48:, 72:].astype(int) + 40, 0, 255)
+    table = Image.fromarray(table)
+    table.save(OUT / "scene-edge.jpg", quality=85, subsampling=0, restart_marker_rows=1)
     picture.save(OUT / "lossless.webp", lossless=True)
     picture.convert("CMYK").save(OUT / "cmyk.tif")
     lossless = ["heif-enc", "--lossless", "-p", "chroma=444", OUT / "palette.png", "-o", OUT / "lossless.heic"]

@@ -146,8 +146,15 @@ impl Opened {
                 Self::with_reader(pages::Paged::open(file.into_inner()).map_err(io)?, format, 0)
             }
             // Its decoder and the check each hold the whole file.
-            ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len())
-                .map_err(|error| jpeg::named(&fs::read(path).unwrap_or_default(), error)),
+            ImageFormat::Jpeg => {
+                Self::with_reader(file, format, 2 * metadata.len()).map_err(|error| {
+                    // The decoder has no word for most kinds that it does not read.
+                    match jpeg::check(&fs::read(path).unwrap_or_default()) {
+                        Err(kind @ ImageError::Unsupported { .. }) => kind,
+                        _ => error,
+                    }
+                })
+            }
             _ => Self::with_reader(file, format, 0),
         }
     }
@@ -225,18 +232,13 @@ impl Samples {
     fn decode(path: &Path) -> Result<Self, ImageError> {
         guarded(|| {
             let opened = Opened::open(path)?;
-            let grid = if opened.is_jpeg {
+            if opened.is_jpeg {
                 let bytes = fs::read(path)
                     .map_err(|source| ImageError::Io { path: path.to_owned(), source })?;
-                jpeg::check(&bytes)?
-            } else {
-                None
-            };
+                jpeg::check(&bytes)?;
+            }
             let mut picture =
                 DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
-            if let Some(grid) = grid {
-                grid.check(&picture)?;
-            }
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;

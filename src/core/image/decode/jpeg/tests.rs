@@ -8,10 +8,12 @@ use rand_pcg::Pcg64;
 use crate::image::{Image, ImageError, Srgb};
 
 /// Of 160 x 120 px: made by tests/golden/photographs.py (Pillow).
-const SCENES: [&[u8]; 3] = [
+const SCENES: [&[u8]; 4] = [
     include_bytes!("../../../../../tests/golden/photographs/scene.jpg"),
     include_bytes!("../../../../../tests/golden/photographs/scene-restart.jpg"),
     include_bytes!("../../../../../tests/golden/photographs/scene-progressive.jpg"),
+    // With restart markers, and an edge in the scene that reaches the border along a row of blocks.
+    include_bytes!("../../../../../tests/golden/photographs/scene-edge.jpg"),
 ];
 
 fn load(bytes: &[u8]) -> Result<Image<Srgb>, ImageError> {
@@ -76,24 +78,41 @@ fn a_scan_that_breaks_off_says_how_much_is_whole() {
 }
 
 #[test]
-fn a_shift_of_all_that_follows_is_a_seam_and_edges_of_a_scene_are_none() {
-    let grid = super::Grid { unit: (8, 8), restart: 0 };
-    let (width, height) = (96, 64);
-    let picture = |value: &dyn Fn(usize, usize) -> usize| -> Vec<u8> {
-        let pixels = (0..width * height).map(|i| value(i % width, i / width) as u8);
-        pixels.collect()
-    };
-    // Units 12 across: the 5th of the 3rd row and all behind it are brighter.
-    let shifted = picture(&|x, y| 40 + (x + y) / 4 + 20 * usize::from(y / 8 * 12 + x / 8 >= 28));
-    assert_eq!(grid.seam(&shifted, 1, width), Some(16));
-    let smooth = picture(&|x, y| 40 + (x + y) / 4);
-    let frame = picture(&|x, y| if y < 16 { 0 } else { 40 + x / 4 });
-    let slanted = picture(&|x, y| 40 + 80 * usize::from(16 * y > 16 * 24 + x * 2));
-    let boxes = picture(&|x, y| 40 + (x / 16 * 37 + y / 16 * 71) % 160);
-    for (name, picture) in [("smooth", smooth), ("frame", frame), ("slanted", slanted)] {
-        assert_eq!(grid.seam(&picture, 1, width), None, "{name}");
+fn rows_between_restart_markers_that_are_lost_or_out_of_place_are_found() {
+    for scene in [SCENES[1], SCENES[3]] {
+        let is_marker = |at: &usize| scene[*at] == 0xff && matches!(scene[at + 1], 0xd0..=0xd7);
+        let markers: Vec<usize> = (first_scan(scene)..scene.len() - 1).filter(is_marker).collect();
+        let [a, b, c] = [markers[1], markers[2], markers[3]];
+        let (before, one, two, behind) = (&scene[..a], &scene[a..b], &scene[b..c], &scene[c..]);
+        assert_eq!([before, one, two, behind].concat(), scene);
+        for (name, damaged) in [
+            ("lost", vec![before, two, behind]),
+            ("twice", vec![before, one, one, two, behind]),
+            ("swapped", vec![before, two, one, behind]),
+            ("shortened", vec![before, &one[..one.len() - 9], two, behind]),
+            ("lengthened", vec![before, one, &[0x55; 9], two, behind]),
+            ("emptied", vec![before, &one[..2], two, behind]),
+        ] {
+            let error = load(&damaged.concat()).expect_err(name).to_string();
+            assert!(error.contains("of its 120 rows are whole"), "{name}: {error}");
+        }
     }
-    assert_eq!(grid.seam(&boxes, 1, width), None);
+}
+
+#[test]
+fn blocks_darker_than_black_or_brighter_than_white_are_found() {
+    for value in [0_u8, 255] {
+        let samples = vec![f32::from(value) / 255.0; 3 * 64 * 64];
+        let image = Image::<Srgb>::from_planar(64, 64, samples);
+        let mut jpeg = image.encode(crate::image::EncodeFormat::Jpeg(90)).expect("encoded");
+        assert!(load(&jpeg).is_ok(), "{value}");
+        // The step of each first coefficient of brightness.
+        let marker = |pair: &[u8]| pair == [0xff, 0xdb];
+        let step = jpeg.windows(2).position(marker).expect("steps") + 5;
+        jpeg[step] *= 2;
+        let error = load(&jpeg).expect_err("out of range").to_string();
+        assert!(error.contains("the first 0 of its 64 rows"), "{value}: {error}");
+    }
 }
 
 /// Share of values that are off by more than 12 levels.
@@ -107,7 +126,7 @@ type Damage = (&'static str, f64, fn(&mut Vec<u8>, usize, &mut Pcg64));
 
 /// What disks, cables and programs do to a file, and how many of those that spoil more than 3 % of
 /// the picture must be found. A single bit may stand for another brightness of all that follows,
-/// which shows as a seam or not at all.
+/// which is found where that is darker than black or brighter than white.
 const DAMAGES: [Damage; 6] = [
     ("cut", 1.0, |bytes, at, _| bytes.truncate(at)),
     ("ended", 1.0, |bytes, at, _| {
