@@ -7,22 +7,35 @@ from pathlib import Path
 
 import numpy as np
 from onnx import TensorProto, checker, helper, numpy_helper
+from onnx.external_data_helper import set_external_data
 
 FOLDER = Path(__file__).resolve().parent / "onnx"
 
 
 def save(
-    name, nodes, constants=(), channels=3, size=("h", "w"), output_channels=3, element=TensorProto.FLOAT, outputs=("restored",)
+    name, nodes, constants=(), channels=3, size=("h", "w"), output_channels=3, element=TensorProto.FLOAT,
+    outputs=("restored",), batch="n", external=None,
 ):
     graph = helper.make_graph(
         nodes, name,
-        [helper.make_tensor_value_info("view", element, ["n", channels, *size])],
-        [helper.make_tensor_value_info(output, element, ["n", output_channels, *size]) for output in outputs],
+        [helper.make_tensor_value_info("view", element, [batch, channels, *size])],
+        [helper.make_tensor_value_info(output, element, [batch, output_channels, *size]) for output in outputs],
         [numpy_helper.from_array(value, key) for key, value in constants],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     checker.check_model(model)
+    if external:
+        for tensor in [*graph.initializer, *(node.attribute[0].t for node in graph.node if node.op_type == "Constant")]:
+            in_file(tensor, external)
+        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     (FOLDER / f"{name}.onnx").write_bytes(model.SerializeToString())
+
+
+def in_file(tensor, location):
+    (FOLDER / "weights").mkdir(exist_ok=True)
+    (FOLDER / "weights" / "external3.data").write_bytes(tensor.raw_data)
+    set_external_data(tensor, location, offset=0, length=len(tensor.raw_data))
+    tensor.ClearField("raw_data")
 
 
 def node(kind, inputs, output="restored", **attributes):
@@ -34,6 +47,10 @@ def main():
     identity = [node("Identity", ["view"])]
     save("identity3", identity)
     save("fixed_size", identity, size=(32, 48))
+    save("fixed_width", identity, size=("h", 48))
+    save("channels_last", identity, channels="h", size=("w", 3), output_channels="h")
+    save("four_images", identity, batch=4)
+    save("bytes3", identity, element=TensorProto.UINT8)
     save("four_channels", identity, channels=4, output_channels=4)
     save("half_precision", identity, element=TensorProto.FLOAT16)
     save("unknown_channels", identity, channels="c", output_channels="c")
@@ -71,6 +88,14 @@ def main():
     save("two_outputs3", [
         node("Mul", ["view", "half"], "coarse"), node("Identity", ["view"]),
     ], [("half", np.array(0.5, np.float32))], outputs=("coarse", "restored"))
+    # Weights in a file beside the network, and where they may not lie.
+    half = [("half", np.array([0.5], np.float32))]
+    halves = [node("Mul", ["view", "half"])]
+    save("external3", halves, half, external="weights/external3.data")
+    save("climbing3", halves, half, external="../onnx/weights/external3.data")
+    save("absolute3", halves, half, external="/weights/external3.data")
+    constant = node("Constant", [], "half", value=numpy_helper.from_array(half[0][1]))
+    save("constant3", [constant, *halves], external="weights/external3.data")
     save("infinite3", [node("Div", ["view", "zero"])], [("zero", np.array(0, np.float32))])
     save("random3", [
         node("RandomNormalLike", ["view"], "noise", scale=0.01), node("Add", ["view", "noise"]),

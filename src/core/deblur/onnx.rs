@@ -12,7 +12,7 @@ use crate::deblur::model::Model;
 use crate::deblur::tiling::{self, Join, TILE, Tile};
 use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
-use crate::inference::{Graph, Provider, Runtime, session};
+use crate::inference::{Provider, Runtime, session};
 
 /// Both sides of a network's input are a multiple of this, px.
 const MULTIPLE: usize = 16;
@@ -99,10 +99,10 @@ impl Onnx {
         threads: usize,
     ) -> Result<Self, DeblurError> {
         let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
-        let graph = Graph { bytes: &model.bytes, weights: None };
+        let graph = model.file.graph();
         let session = session(runtime, &graph, provider, alone, threads).map_err(&unusable)?;
         let form = Form::of(&session).map_err(&unusable)?;
-        let model = model.without_bytes();
+        let model = model.without_file();
         let mut network = Self { session, model, form, provider, warnings: Vec::new() };
         network.self_test()?;
         Ok(network)

@@ -142,7 +142,7 @@ impl LearnedMatching {
     ) -> Result<Network, FeatureError> {
         let graph = Graph {
             bytes,
-            weights: Some((&self.package.weights[weights].file, self.weights[weights].clone())),
+            weights: vec![(&self.package.weights[weights].file, self.weights[weights].clone())],
         };
         inference::session(&self.runtime, &graph, Provider::Cpu, false, 1)
             .map(Network::new)

@@ -26,13 +26,13 @@ impl Provider {
     }
 }
 
-/// A network in one or two files.
+/// A network in one or more files.
 #[derive(Clone, Debug)]
 pub struct Graph<'a> {
     /// The ONNX file.
     pub bytes: &'a [u8],
-    /// The external file of weights, with the name by which the graph refers to it.
-    pub weights: Option<(&'a str, Arc<[u8]>)>,
+    /// The external files of weights, with the names by which the graph refers to them.
+    pub weights: Vec<(&'a str, Arc<[u8]>)>,
 }
 
 /// Loads a network. With `alone`, an operation that the provider cannot run is an error; `threads`
@@ -66,7 +66,7 @@ pub fn session(
         Provider::Cpu => ep::CPU::default().build(),
     };
     let mut builder = builder.with_execution_providers([provider]).map_err(text)?;
-    if let Some((file, content)) = &graph.weights {
+    for (file, content) in &graph.weights {
         builder = builder
             .with_external_initializer_file_in_memory(file, content.clone())
             .map_err(text)?;

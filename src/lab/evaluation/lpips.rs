@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::error::EvaluationError;
 use fled_core::image::Image;
-use fled_core::inference::{Graph, Input, Network, Provider, Runtime, digest, session};
+use fled_core::inference::{Input, Network, OnnxFile, Provider, Runtime, session};
 
 /// ImageNet's normalisation: mean and deviation of each channel.
 const IMAGENET: [(f32, f32); 3] = [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)];
@@ -25,16 +25,15 @@ impl Lpips {
         let fault = |error: &dyn std::fmt::Display| {
             EvaluationError::Lpips(format!("{}: {error}", path.display()))
         };
-        let bytes = std::fs::read(path).map_err(|error| fault(&error))?;
-        let graph = Graph { bytes: &bytes, weights: None };
-        let session = session(runtime, &graph, Provider::Cpu, false, 0);
+        let file = OnnxFile::read(path).map_err(|error| fault(&error))?;
+        let session = session(runtime, &file.graph(), Provider::Cpu, false, 0);
         Ok(Self {
             network: Network::new(session.map_err(|error| fault(&error))?),
-            checksum: digest(&bytes),
+            checksum: file.sha256,
         })
     }
 
-    /// SHA-256 of the network.
+    /// SHA-256 of the network, its weights included.
     pub fn checksum(&self) -> &str {
         &self.checksum
     }

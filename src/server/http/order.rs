@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::capture::view_names;
-use fled_core::deblur::{BUILT_IN, NetworkChoice, network_names};
+use fled_core::deblur::{BUILT_IN, Model, NetworkChoice, network_names};
 use fled_core::enhance::Target;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
 use fled_core::reading::below;
@@ -177,8 +177,14 @@ fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), P
             "network `{choice}` requires a guide; a network that brightens has 3 channels"
         )));
     }
-    if built_in || names.iter().any(|name| name == choice) {
+    if built_in {
         return Ok(());
+    }
+    if names.iter().any(|name| name == choice) {
+        return Model::check(choice, folders).map_err(|error| {
+            refused(error.to_string())
+                .hint("The server's administrator can mend it; `fled models` checks the networks.")
+        });
     }
     let words = option.words.iter().chain([&NetworkChoice::Default]);
     let words = words.map(NetworkChoice::as_str);

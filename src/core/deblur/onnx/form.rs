@@ -52,11 +52,24 @@ fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
     if !matches!(output_shape[1], 3 | -1) {
         return Err(format!("it returns {} channels instead of 3", output_shape[1]));
     }
-    if input_shape[2..] != [-1, -1] {
-        return Err(format!("it takes only images of {}x{} px", input_shape[3], input_shape[2]));
+    let [batch, channels, height, width] = input_shape;
+    if (height, width) != (-1, -1) {
+        let side = |side: i64| if side < 0 { "any".to_owned() } else { side.to_string() };
+        return Err(format!(
+            "it takes only images of {}x{} px: export it with dynamic height and width, as with \
+             dynamic_shapes of torch.onnx.export",
+            side(width),
+            side(height)
+        ));
     }
-    match input_shape[1] {
-        -1 => Err("the file does not say how many channels it takes".to_owned()),
+    if !matches!(batch, 1 | -1) {
+        return Err(format!("it takes {batch} images at a time: export it for one"));
+    }
+    match channels {
+        -1 => {
+            Err("the file does not say how many channels it takes: export it with a fixed number"
+                .to_owned())
+        }
         found @ (3 | 6) => Ok(found as u32),
         found => Err(format!(
             "it takes {found} channels; only 3 (a view) or 6 (a view and a guide) can be used"
@@ -66,10 +79,20 @@ fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
 
 /// Batch, channels, height, width; -1 is dynamic.
 fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
-    match value {
-        ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
-            shape[..].try_into().map_err(|_| format!("has {} dimensions instead of 4", shape.len()))
-        }
-        other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
+    let ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } = value else {
+        return Err(format!(
+            "is {value} instead of a tensor of 32-bit floats: export it in float32, for values in \
+             0..=1"
+        ));
+    };
+    let shape: [i64; 4] = shape[..].try_into().map_err(|_| {
+        let sides = "batch, channels, height and width";
+        format!("has {} dimensions instead of the 4 of {sides}", shape.len())
+    })?;
+    if !matches!(shape[1], 3 | 6) && matches!(shape[3], 3 | 6) {
+        return Err("has its channels last (NHWC): export it with the channels first (NCHW), as \
+                    with --inputs-as-nchw and --outputs-as-nchw of tf2onnx"
+            .to_owned());
     }
+    Ok(shape)
 }

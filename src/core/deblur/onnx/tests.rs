@@ -101,9 +101,13 @@ fn a_tile_that_leaves_the_range_keeps_its_input_and_warns() {
 #[test]
 fn unfit_networks_are_refused_with_the_reason() {
     for (name, reason) in [
-        ("fixed_size.onnx", "48x32"),
+        ("fixed_size.onnx", "48x32 px: export it with dynamic height and width"),
+        ("fixed_width.onnx", "48xany px: export it with dynamic height and width"),
+        ("channels_last.onnx", "channels last (NHWC): export it with the channels first"),
         ("four_channels.onnx", "4 channels"),
-        ("half_precision.onnx", "32-bit floats"),
+        ("four_images.onnx", "4 images at a time"),
+        ("half_precision.onnx", "32-bit floats: export it in float32"),
+        ("bytes3.onnx", "32-bit floats: export it in float32"),
         ("unknown_channels.onnx", "how many channels"),
         ("two_outputs3.onnx", "`coarse`, `restored` could be"),
     ] {
@@ -111,8 +115,17 @@ fn unfit_networks_are_refused_with_the_reason() {
         assert!(refused.contains(name) && refused.contains(reason), "{refused}");
     }
     let text = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
-    let refused = network(text).err().expect("no network");
+    let refused = Model::find(text, &[]).expect_err("no network");
     assert!(matches!(refused, DeblurError::ModelUnusable { .. }), "{refused}");
+}
+
+/// The network halves the view by a weight that lies in `weights/`, as `make_onnx.py` writes it.
+#[test]
+fn weights_are_read_beside_the_network_wherever_the_program_runs() {
+    let mut network = network(&file("external3.onnx")).expect("loads");
+    let view = waves(20, 20, 0.0);
+    let half = Image::from_planar(20, 20, view.data().iter().map(|v| 0.5 * v).collect());
+    assert!(worst(&network.restore(&view, None).expect("runs"), &half) < 1e-6);
 }
 
 #[test]

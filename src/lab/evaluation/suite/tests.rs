@@ -4,6 +4,7 @@ pub mod made_up;
 mod pretended;
 
 use std::fs;
+use std::path::Path;
 
 use serde_json::{Value, json};
 
@@ -96,15 +97,16 @@ fn only_inputs_of_a_run_invalidate_its_record() {
 
 #[test]
 fn a_changed_network_file_invalidates_its_runs() {
-    let network = |pretended: &mut Pretended, content: &str| {
+    let network = |pretended: &mut Pretended, golden: &str| {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/onnx");
         let path = pretended.top().join("own.onnx");
-        fs::write(&path, content).expect("file");
+        fs::copy(folder.join(golden), &path).expect("copied");
         pretended.content["configurations"][2]["set"] = json!({"deblur": path});
     };
     let mut pretended = Pretended::new();
-    network(&mut pretended, "one");
+    network(&mut pretended, "identity3.onnx");
     pretended.well();
-    network(&mut pretended, "two");
+    network(&mut pretended, "root3.onnx");
     let (_, said) = pretended.well();
     assert_eq!(runs(&said).len(), 4);
 }

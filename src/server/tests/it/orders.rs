@@ -1,5 +1,7 @@
 //! Orders of jobs and their validation, through a real server process.
 
+use std::path::Path;
+
 use crate::support::tokens::{token, token_of};
 use crate::support::{Server, photographs, text};
 use fled_tests::Reply;
@@ -69,8 +71,9 @@ fn only_networks_of_the_models_folder_can_be_chosen() {
     let server = Server::start();
     let models = server.data.path().join("models");
     std::fs::create_dir_all(&models).expect("folder");
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/onnx");
     for name in ["mine.onnx", "notes.txt", "../outside.onnx"] {
-        std::fs::write(models.join(name), "content").expect("written");
+        std::fs::copy(golden.join("identity3.onnx"), models.join(name)).expect("copied");
     }
     let capture = server.capture(3);
     for choice in ["outside.onnx", "../outside.onnx", "notes.txt", "mine"] {
@@ -88,6 +91,13 @@ fn only_networks_of_the_models_folder_can_be_chosen() {
     let options = json!({ "deblur": "mine.onnx", "adapter": "ok" });
     let order = json!({ "capture_id": capture, "options": options });
     server.post_json("/v1/jobs", &order, &[]).expect(202);
+
+    // Copied without the file that has its weights.
+    std::fs::copy(golden.join("external3.onnx"), models.join("halves.onnx")).expect("copied");
+    let problem = refused(&server, &json!({ "deblur": "halves.onnx" }));
+    assert_eq!(problem["pointer"], "/options/deblur");
+    let detail = problem["detail"].as_str().expect("text");
+    assert!(detail.contains("`weights/external3.data`, which is not beside it"), "{detail}");
 }
 
 fn id(reply: &Reply) -> String {
