@@ -39,6 +39,7 @@ enum Sort {
     Video,
     Archive,
     Sphere,
+    SphereVideo,
     /// Not what its name says.
     Other,
 }
@@ -48,6 +49,8 @@ impl Unread {
     const AVIF: Self = Self { name: "AVIF", sort: Sort::Picture };
     /// Two fisheyes side by side, in the bytes of a JPEG.
     const INSTA360: Self = Self { name: "INSP photographs", sort: Sort::Sphere };
+    /// Two fisheyes, or the faces of a cube, in the bytes of an MP4.
+    const SPHERES: Self = Self { name: "INSV and 360 videos", sort: Sort::SphereVideo };
     const BURST: Self = Self { name: "HEIC burst", sort: Sort::Picture };
 
     /// The format that a file's name claims, where that is one that is known and not read.
@@ -86,7 +89,7 @@ impl fmt::Display for Unread {
             Sort::Raw => write!(
                 f,
                 "{name} files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with \
-                 one setting for all"
+                 one fixed brightness for all, as with dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"
             ),
             Sort::Video => write!(
                 f,
@@ -100,6 +103,11 @@ impl fmt::Display for Unread {
                 f,
                 "{name} are not read, as one picture has all directions: export flat pictures of \
                  them"
+            ),
+            Sort::SphereVideo => write!(
+                f,
+                "{name} are not read, as their frames have all directions: export flat (reframed) \
+                 views of 60 to 100 degrees, as MP4 or as photographs"
             ),
             Sort::Other => write!(f, "no picture but {name}: get the original file"),
         }
@@ -133,7 +141,7 @@ const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("MPEG", Sort::Video), b"\0\0\x01\xba", &["mpg", "mpeg", "vob", "ts", "mts", "m2ts"]),
     (unread("AVI", Sort::Video), b"", &["avi"]),
     (unread("3GP", Sort::Video), b"", &["3gp", "3g2"]),
-    (unread("360-degree", Sort::Video), b"", &["insv", "360"]),
+    (Unread::SPHERES, b"", &["insv", "360"]),
     (unread("damaged or inner ZIP", Sort::Archive), b"", &["zip"]),
     (unread("RAR", Sort::Archive), b"Rar!", &["rar"]),
     (unread("7z", Sort::Archive), b"7z\xbc\xaf", &["7z"]),
@@ -162,8 +170,12 @@ fn extension(path: &Path) -> String {
 
 /// The kind of a file, from its first 32 bytes (fewer if it is shorter) and its extension.
 pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
-    if let Some(kind) = foreign(head) {
-        return kind;
+    match foreign(head) {
+        Some(Kind::Video) if Unread::named(path) == Some(Unread::SPHERES) => {
+            return Kind::Unread(Unread::SPHERES);
+        }
+        Some(kind) => return kind,
+        None => {}
     }
     let is_big_tiff = head.starts_with(b"II\x2b\0") || head.starts_with(b"MM\0\x2b");
     match image::guess_format(head) {
@@ -248,7 +260,7 @@ mod tests {
             Kind::Unread(format) => format.to_string(),
             other => panic!("{name}: {other:?}"),
         };
-        let cases: [(&[u8], &str, &str); 9] = [
+        let cases: [(&[u8], &str, &str); 12] = [
             (b"BM\x36\x10", "a.jpg", "BMP pictures are not read: save them"),
             (b"8BPS\0\x01", "a.psd", "Photoshop pictures"),
             (b"\xff\x0a\xfa", "a.jxl", "JPEG XL pictures"),
@@ -258,6 +270,9 @@ mod tests {
             (b"\x1a\x45\xdf\xa3", "a.mkv", "Matroska or WebM videos are not read: convert"),
             (b"<!DOCTYPE html>", "a.jpg", "a web page"),
             (b"\0\0\0\x18ftyp3gp5", "a.3gp", "3GP videos"),
+            (b"\0\0\0\x20ftypavc1\0", "a.insv", "export flat (reframed) views"),
+            (b"\0\0\0\x14ftypmp41\0", "GS01.360", "export flat (reframed) views"),
+            (b"FUJIFILMCCD-RAW 0201", "a.raf", "dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"),
         ];
         for (head, name, words) in cases {
             let told = told(head, name);
