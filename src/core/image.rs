@@ -6,6 +6,7 @@
 mod decode;
 mod encode;
 mod exif;
+pub(crate) mod hdr;
 mod resize;
 mod signature;
 mod transfer;
@@ -17,6 +18,7 @@ pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};
 #[cfg(test)]
 pub(crate) use exif::tests::block as exif_block;
+pub use hdr::HdrTransfer;
 pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;
 pub use transfer::{linear_to_srgb, srgb_to_linear};

@@ -203,6 +203,10 @@ impl Seen {
     /// What the user should know about it, where the capture's middle one is so sharp.
     pub(super) fn warnings(&self, typical_sharpness: f32) -> Vec<CaptureWarning> {
         let mut warnings = Vec::new();
+        if let Some(transfer) = self.header.hdr {
+            let message = format!("it is HDR ({transfer}) and was tone-mapped to sRGB");
+            warnings.push(CaptureWarning::new("hdr", message));
+        }
         if self.mean_v < DARK_MEAN_V {
             let levels = self.mean_v * 255.0;
             warnings.push(CaptureWarning::new(

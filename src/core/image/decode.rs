@@ -3,7 +3,7 @@
 //! What each input becomes: grey is repeated in all three channels; palettes are looked up; alpha
 //! is composited over black, in the values as encoded; CMYK is converted without a profile; 16
 //! bits stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored, values are taken
-//! as sRGB; EXIF orientation is applied once, here and nowhere else, and HEIC's own in its stead.
+//! as sRGB but for a HEIC of PQ or HLG, which becomes sRGB ([`super::hdr`]); EXIF orientation is applied once, here and nowhere else, and HEIC's own in its stead.
 //! Floating-point TIFF is refused, as its range and encoding are unknown.
 
 mod error;
@@ -20,6 +20,7 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use self::heic::Heic;
+use super::hdr::HdrTransfer;
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
 use super::transfer::{linear_to_srgb, srgb_to_linear};
@@ -44,6 +45,8 @@ pub struct Header {
     pub focal_px: Option<f64>,
     /// Bytes that the decoded samples take while they are read.
     pub decoded_bytes: u64,
+    /// The larger range of brightness that becomes sRGB as it is read.
+    pub hdr: Option<HdrTransfer>,
 }
 
 /// Reads a file's header and holds it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
@@ -133,8 +136,10 @@ impl Opened {
                 let mut bytes = Vec::new();
                 file.read_to_end(&mut bytes).map_err(io)?;
                 let heic = Heic::open(bytes)?;
-                let beside = heic.bytes_beside();
-                return Self::with_decoder(Box::new(heic), None, beside);
+                let (beside, hdr) = (heic.bytes_beside(), heic.hdr());
+                let mut opened = Self::with_decoder(Box::new(heic), None, beside)?;
+                opened.header.hdr = hdr;
+                return Ok(opened);
             }
             Kind::Video => return Err(ImageError::Video),
             Kind::Unread(format) => return Err(ImageError::Unread(format)),
@@ -208,7 +213,7 @@ impl Opened {
         Ok(Self {
             decoder,
             orientation,
-            header: Header { width, height, orientation, focal_px, decoded_bytes },
+            header: Header { width, height, orientation, focal_px, decoded_bytes, hdr: None },
             is_jpeg: format == Some(ImageFormat::Jpeg),
         })
     }

@@ -4,13 +4,16 @@
 //! picture or a grid of them, and nothing larger than it says is made. Rotation, mirroring and
 //! clipping belong to the container and are done here; EXIF's orientation only repeats them.
 
+use heifer::heifer_hevc_dec::nal::NalUnit;
+use heifer::heifer_hevc_dec::params::ParameterSets;
 use heifer::heifer_isobmff::HeifFile;
-use heifer::heifer_isobmff::boxes::Property;
+use heifer::heifer_isobmff::boxes::{ColorInfo, Property};
 use heifer::{Error, Options};
 use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, ImageResult};
 
 use super::error::{ImageError, MAX_PIXELS};
+use crate::image::hdr::{HdrTransfer, primaries_to_srgb};
 
 /// What may be coded beyond the picture on each side, px: codecs code whole blocks.
 const MARGIN: u64 = 64;
@@ -30,7 +33,17 @@ pub(super) struct Heic {
     /// As it is coded: before cuts and turns, px.
     coded: (u32, u32),
     is_deep: bool,
+    /// Of a larger range of brightness, its transfer function and its primaries.
+    hdr: Option<(HdrTransfer, u16)>,
     exif: Option<Vec<u8>>,
+}
+
+/// How the values of a picture are coded, by code points of ITU-T H.273.
+#[derive(Clone, Copy)]
+struct Coding {
+    primaries: u16,
+    transfer: u16,
+    matrix: u16,
 }
 
 impl Heic {
@@ -51,10 +64,18 @@ impl Heic {
         }
         let size = upright_size(&file, whole).map_err(|error| told(&error))?;
         let config = file.hevc_config(first).map_err(|error| told(&error.into()))?;
-        let is_deep = config.is_some_and(|config| config.bit_depth_luma > 8);
+        let coding = coding(&file, &[file.primary_id, first]).map_err(|error| told(&error))?;
+        let hdr = coding.and_then(|c| Some((HdrTransfer::of_code(c.transfer)?, c.primaries)));
+        // Of a larger range 8 bits of sRGB keep too little.
+        let is_deep = hdr.is_some() || config.is_some_and(|config| config.bit_depth_luma > 8);
         // EXIF that cannot be read leaves the photograph as good as it was.
         let exif = file.exif(file.primary_id).ok().flatten();
-        Ok(Self { is_deep, size, coded: whole, exif, bytes })
+        Ok(Self { is_deep, size, coded: whole, hdr, exif, bytes })
+    }
+
+    /// The larger range of brightness that the file has.
+    pub(super) fn hdr(&self) -> Option<HdrTransfer> {
+        self.hdr.map(|(transfer, _)| transfer)
     }
 
     /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before
@@ -83,6 +104,10 @@ impl Heic {
             let top = u32::from(picture.max_value());
             let deep = |v: u16| ((u32::from(v) * 65_535 + top / 2) / top) as u16;
             let pixels = picture.data.chunks_exact(4);
+            if let Some((transfer, primaries)) = self.hdr {
+                converted(pixels, top, transfer, primaries, out);
+                return Ok(());
+            }
             for (out, v) in
                 out.chunks_exact_mut(2).zip(pixels.flat_map(|pixel| over_black(pixel, top)))
             {
@@ -246,6 +271,67 @@ fn upright_size(file: &HeifFile<'_>, coded: (u32, u32)) -> Result<(u32, u32), Er
         return Err(Error::Invalid("it has no pixels"));
     }
     Ok(size)
+}
+
+/// How the first of these items that says so is coded, by its container or else by its stream.
+///
+/// # Errors
+/// [`Error::Unsupported`] for colours that its decoder would read as those of BT.601.
+fn coding(file: &HeifFile<'_>, items: &[u32]) -> Result<Option<Coding>, Error> {
+    for &item in items {
+        let container = file.item_properties(item)?.find_map(|property| match *property {
+            Property::Color(ColorInfo::Nclx { primaries, transfer, matrix, .. }) => {
+                Some(Coding { primaries, transfer, matrix })
+            }
+            _ => None,
+        });
+        let coding = match (container, file.hevc_config(item)?) {
+            (None, Some(config)) => coding_of_stream(&config.nal_units),
+            (container, _) => container,
+        };
+        match coding {
+            // YCgCo, ICtCp, constant luminance and the like.
+            Some(Coding { matrix: matrix @ (8 | 10..), .. }) => {
+                return Err(Error::Unsupported(format!("colours coded by matrix {matrix}")));
+            }
+            None => {}
+            coding => return Ok(coding),
+        }
+    }
+    Ok(None)
+}
+
+/// What the parameters of a stream say; its decoder reports those that are damaged.
+fn coding_of_stream(units: &[Vec<u8>]) -> Option<Coding> {
+    let mut sets = ParameterSets::default();
+    for unit in units {
+        sets.add(&NalUnit::parse(unit).ok()?).ok()?;
+    }
+    let vui = sets.sps.iter().flatten().find_map(|sps| sps.vui.as_ref())?;
+    Some(Coding {
+        primaries: vui.colour_primaries.into(),
+        transfer: vui.transfer_characteristics.into(),
+        matrix: vui.matrix_coeffs.into(),
+    })
+}
+
+/// Writes pixels of a larger range as sRGB of 16 bits, over black.
+fn converted<'a>(
+    pixels: impl Iterator<Item = &'a [u16]>,
+    top: u32,
+    transfer: HdrTransfer,
+    primaries: u16,
+    out: &mut [u8],
+) {
+    let light: Vec<f32> = (0..=top).map(|v| transfer.light(v as f32 / top as f32)).collect();
+    let to_srgb = primaries_to_srgb(primaries);
+    for (out, pixel) in out.chunks_exact_mut(6).zip(pixels) {
+        let share = f32::from(pixel[3]) / top as f32;
+        let colour = [0, 1, 2].map(|channel| light[u32::from(pixel[channel]).min(top) as usize]);
+        for (out, value) in out.chunks_exact_mut(2).zip(transfer.srgb(colour, to_srgb)) {
+            out.copy_from_slice(&((value * share * 65_535.0).round() as u16).to_ne_bytes());
+        }
+    }
 }
 
 /// The colour of a straight-alpha pixel over black.

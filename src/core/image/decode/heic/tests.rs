@@ -7,7 +7,7 @@ use tempfile::TempDir;
 
 use super::super::{ImageError, read_header};
 use crate::image::exif::tests::block;
-use crate::image::{Image, Srgb};
+use crate::image::{HdrTransfer, Image, Srgb};
 
 /// Red grows to the right, green downwards; bits per sample.
 fn ramp(width: u32, height: u32, bit_depth: u8) -> heifer::Image {
@@ -173,4 +173,76 @@ fn boxes_that_say_too_much_are_refused_before_they_are_read() {
     bytes[at..at + 4].copy_from_slice(&(600_u32 << 10).to_be_bytes());
     let error = read_header(&file(&folder, &bytes)).expect_err("refused");
     assert!(error.to_string().contains("more pictures"), "{error}");
+}
+
+/// Of 16 px, 2 x 2 of them: 10, 203 and 1,000 nits of grey, and an orange of BT.2020 at the lower
+/// left, as tests/golden/photographs.py prints them.
+const LIGHT: [[f32; 3]; 4] = [[0.2466; 3], [0.8426; 3], [0.8185, 0.3646, 0.1437], [1.0; 3]];
+
+#[test]
+fn a_larger_range_becomes_srgb_as_that_of_videos_does() {
+    let folder = TempDir::new().expect("folder");
+    let files: [(HdrTransfer, &[u8]); 2] = [
+        (HdrTransfer::Pq, include_bytes!("../../../../../tests/golden/photographs/pq.heic")),
+        (HdrTransfer::Hlg, include_bytes!("../../../../../tests/golden/photographs/hlg.heic")),
+    ];
+    for (transfer, bytes) in files {
+        // The stream says the same as the container, whose word goes first.
+        let mut silent = bytes.to_vec();
+        let at = silent.windows(8).position(|window| window == b"colrnclx").expect("a colour box");
+        silent[at..at + 4].copy_from_slice(b"skip");
+        for bytes in [bytes, &silent[..]] {
+            let path = file(&folder, bytes);
+            assert_eq!(read_header(&path).expect("header").hdr, Some(transfer));
+            let image = Image::<Srgb>::load(&path).expect("loaded");
+            for (at, expected) in LIGHT.into_iter().enumerate() {
+                let found = image.get(16 * (at % 2) + 8, 16 * (at / 2) + 8);
+                let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
+                let worst = worst.fold(0.0, f32::max);
+                assert!(worst < 0.004, "{transfer} {at}: {found:?} for {expected:?}");
+            }
+        }
+    }
+}
+
+/// Gives all colour boxes of a file these code points.
+fn recoded(mut bytes: Vec<u8>, primaries: u8, transfer: u8, matrix: u8) -> Vec<u8> {
+    let boxes = bytes.windows(8).enumerate().filter(|(_, window)| window == b"colrnclx");
+    let boxes: Vec<usize> = boxes.map(|(at, _)| at + 8).collect();
+    assert!(!boxes.is_empty(), "a colour box");
+    for at in boxes {
+        bytes[at..at + 6].copy_from_slice(&[0, primaries, 0, transfer, 0, matrix]);
+    }
+    bytes
+}
+
+#[test]
+fn the_containers_word_on_a_larger_range_counts_in_eight_bits_and_grids_too() {
+    let folder = TempDir::new().expect("folder");
+    for (width, depth) in [(96, 8), (700, 8), (96, 10)] {
+        let bytes = encoded(&ramp(width, 64, depth), &Metadata::default());
+        let usual = file(&folder, &bytes);
+        assert_eq!(read_header(&usual).expect("header").hdr, None);
+        let path = file(&folder, &recoded(bytes, 1, 16, 6));
+        assert_eq!(read_header(&path).expect("header").hdr, Some(HdrTransfer::Pq));
+        let image = Image::<Srgb>::load(&path).expect("loaded");
+        // Upper left: a quarter of the range of PQ in blue, 5.2 nits.
+        let blue = image.get(4, 4)[2];
+        assert!((blue - 0.172).abs() < 0.02, "{width} {depth}: {blue}");
+    }
+}
+
+#[test]
+fn colours_by_a_matrix_that_is_not_read_are_refused() {
+    let folder = TempDir::new().expect("folder");
+    let bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
+    for (matrix, is_read) in [(1, true), (6, true), (9, true), (8, false), (14, false)] {
+        let path = file(&folder, &recoded(bytes.clone(), 1, 13, matrix));
+        let outcome = Image::<Srgb>::load(&path);
+        assert_eq!(outcome.is_ok(), is_read, "{matrix}");
+        if let Err(error) = outcome {
+            assert!(error.is_unsupported_format(), "{error}");
+            assert!(error.to_string().contains(&format!("matrix {matrix}")), "{error}");
+        }
+    }
 }
