@@ -7,8 +7,8 @@ use std::process::Command;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Duration;
 
-/// Bytes of what ffmpeg says that are kept.
-const TAIL: usize = 4096;
+/// Bytes of what ffmpeg says that are kept: what it tells of a file with many streams fits.
+const TAIL: usize = 64 << 10;
 
 /// After its end its last words are there at once.
 const PATIENCE: Duration = Duration::from_secs(1);

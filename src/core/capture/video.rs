@@ -1,12 +1,13 @@
 //! A video as photographs: of every stretch the sharpest frame.
 //!
-//! ffmpeg reads it twice, as a process of its own: once small and grey, which is enough to tell how
-//! sharp each frame is, and once for those that were chosen.
+//! ffmpeg reads it as a process of its own: its beginning for what its pictures need, once small and
+//! grey, which is enough to tell how sharp each frame is, and once for those that were chosen.
 
 mod choose;
 mod error;
 mod ffmpeg;
 mod range;
+mod stream;
 
 use std::ffi::OsString;
 use std::fs;
@@ -17,6 +18,7 @@ use std::time::Instant;
 use self::choose::{Stretches, sharpness};
 use self::error::{MOST_IN_VIDEO, PATIENCE};
 use self::ffmpeg::{Ffmpeg, Output};
+use self::stream::Stream;
 use crate::cancel::CancelToken;
 use crate::image::{Unread, read_header};
 
@@ -58,14 +60,18 @@ pub struct Taken {
     pub files: Vec<PathBuf>,
     /// The treatment of a range of brightness larger than that of sRGB.
     pub hdr: Option<Hdr>,
+    /// Whether each frame was made of two fields of different moments.
+    pub is_interlaced: bool,
 }
 
 impl Taken {
     /// A sentence for who gave the video, which they call `name`.
     pub fn told(&self, name: &str) -> String {
         let hdr = self.hdr.map_or(String::new(), |hdr| format!("; {hdr}"));
+        let fields =
+            if self.is_interlaced { "; it is interlaced and was deinterlaced" } else { "" };
         format!(
-            "{} of the {} frames of {name} are used, the sharpest of every {:.0}{hdr}",
+            "{} of the {} frames of {name} are used, the sharpest of every {:.0}{fields}{hdr}",
             self.files.len(),
             self.frames,
             (self.frames as f64 / self.files.len() as f64).max(1.0)
@@ -95,18 +101,18 @@ pub fn take_frames(
     if let Some(format) = Unread::of(video).map_err(VideoError::io(video))? {
         return Err(VideoError::Unread(format));
     }
-    let sharpness = measure(&ffmpeg)?;
+    let mut stream = Stream::of(&ffmpeg)?;
+    let sharpness = measure(&ffmpeg, &stream)?;
     if sharpness.len() < super::MIN_VIEWS {
         return Err(VideoError::TooShort { frames: sharpness.len() });
     }
     let chosen = Stretches::of(sharpness.len(), wanted.count).sharpest(&sharpness);
     fs::create_dir_all(wanted.into).map_err(VideoError::io(wanted.into))?;
     // One says how large they all may be, and whether this ffmpeg converts their range.
-    let mut hdr = Hdr::of(&ffmpeg)?;
-    let mut first = extract(&ffmpeg, &chosen[..1], wanted, hdr);
-    if let (Some(found), Err(VideoError::Unreadable { .. })) = (hdr, &first) {
-        hdr = Some(found.left());
-        first = extract(&ffmpeg, &chosen[..1], wanted, hdr);
+    let mut first = extract(&ffmpeg, &chosen[..1], wanted, &stream);
+    if let (Some(found), Err(VideoError::Unreadable { .. })) = (stream.hdr, &first) {
+        stream.hdr = Some(found.left());
+        first = extract(&ffmpeg, &chosen[..1], wanted, &stream);
     }
     let first = first?;
     let header = first.first().and_then(|file| read_header(file).ok());
@@ -114,14 +120,15 @@ pub fn take_frames(
     if bytes > wanted.room {
         return Err(VideoError::NoRoom { bytes });
     }
-    let files = extract(&ffmpeg, &chosen, wanted, hdr)?;
-    Ok(Taken { frames: sharpness.len(), files, hdr })
+    let files = extract(&ffmpeg, &chosen, wanted, &stream)?;
+    let Stream { hdr, is_interlaced, .. } = stream;
+    Ok(Taken { frames: sharpness.len(), files, hdr, is_interlaced })
 }
 
 /// How sharp each frame is.
-fn measure(ffmpeg: &Ffmpeg<'_>) -> Result<Vec<f32>, VideoError> {
+fn measure(ffmpeg: &Ffmpeg<'_>, stream: &Stream) -> Result<Vec<f32>, VideoError> {
     let side = MEASURED_SIDE;
-    let filter = format!("scale={side}:{side}:flags=area,format=gray");
+    let filter = format!("{}scale={side}:{side}:flags=area,format=gray", stream.first);
     let arguments = ["-vf", &filter, "-f", "rawvideo", "-"].map(str::to_owned);
     let mut measured = Vec::new();
     ffmpeg.run(
@@ -142,15 +149,15 @@ fn extract(
     ffmpeg: &Ffmpeg<'_>,
     chosen: &[usize],
     wanted: &Wanted<'_>,
-    hdr: Option<Hdr>,
+    stream: &Stream,
 ) -> Result<Vec<PathBuf>, VideoError> {
     let select = format!("select='{}'", any_of(chosen));
     // Pixels that are not square, then those that are too many.
     let square = "scale='trunc(iw*sar)':ih:flags=area,setsar=1";
     let fit = "force_original_aspect_ratio=decrease:flags=area";
     let most = format!("scale='min(iw,{LONG_SIDE})':'min(ih,{LONG_SIDE})':{fit}");
-    let range = hdr.map_or(String::new(), Hdr::filters);
-    let filter = format!("{select},{square},{most}{range}");
+    let range = stream.hdr.map_or(String::new(), Hdr::filters);
+    let filter = format!("{}{select},{square},{most}{range}", stream.first);
     // Numbers of ours until they are known to be all there; `%` means something to ffmpeg.
     let folder = wanted.into.join(".frames");
     match fs::remove_dir_all(&folder) {

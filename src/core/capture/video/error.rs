@@ -38,6 +38,17 @@ pub enum VideoError {
         /// The last that ffmpeg said.
         said: String,
     },
+    /// Pictures of all directions, by the file's own description.
+    #[error("the video is a panorama of 360 degrees ({projection}), which no one camera takes")]
+    Sphere {
+        /// How ffmpeg calls the projection.
+        projection: String,
+    },
+    /// Two moments in each frame, which this ffmpeg cannot separate.
+    #[error(
+        "the video is interlaced, and this ffmpeg has neither `bwdif` nor `yadif` to deinterlace it"
+    )]
+    Interlaced,
     /// ffmpeg cannot read it.
     #[error("the video cannot be read: {reason}")]
     Unreadable {
@@ -104,6 +115,12 @@ impl VideoError {
             Self::Unread(_) => "give an MP4 or MOV, or photographs of the scene",
             Self::NoPicture => "give the video itself, or photographs of the scene",
             Self::Codec { .. } => "export it as MP4 with H.264",
+            Self::Sphere { .. } => {
+                "export flat (reframed) views of 60 to 100 degrees from it, as video or photographs"
+            }
+            Self::Interlaced => {
+                "install a complete ffmpeg (apt-get install ffmpeg), or deinterlace the video"
+            }
             Self::Unreadable { .. } => "give it as MP4 or MOV that other players show, whole",
             Self::TooShort { .. } => "walk around the scene, slowly, for half a minute or more",
             Self::TooLong => "cut it: ten minutes at 60 frames a second are read",

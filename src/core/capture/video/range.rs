@@ -2,46 +2,26 @@
 
 use std::fmt;
 
-use super::error::VideoError;
-use super::ffmpeg::{Ffmpeg, Output};
-
-/// How bright white is in such a video, nits (ITU-R BT.2408): that becomes the white of sRGB.
-const WHITE: f64 = 203.0;
-
-/// How bright such a video may be, nits: the display that HLG is meant for.
-const PEAK: f64 = 1000.0;
+use crate::image::hdr::{HdrTransfer, PEAK, WHITE};
 
 /// A larger range, and what is done about it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hdr {
-    transfer: Transfer,
+    transfer: HdrTransfer,
     is_converted: bool,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Transfer {
-    Hlg,
-    Pq,
-}
-
 impl Hdr {
-    /// Reads the transfer function of the first frame.
-    ///
-    /// # Errors
-    /// [`VideoError`] where it cannot be read.
-    pub(super) fn of(ffmpeg: &Ffmpeg<'_>) -> Result<Option<Self>, VideoError> {
-        let arguments = ["-loglevel", "info", "-vf", "showinfo", "-frames:v", "1", "-f", "null"];
-        let arguments = arguments.iter().chain(&["-"]).map(|&text| text.to_owned());
-        let mut nothing = |_: &[u8]| true;
-        let said = ffmpeg.run(&arguments.collect::<Vec<_>>(), Output::Chunks(1, &mut nothing))?;
+    /// The range of a first frame, from what `showinfo` says of it.
+    pub(super) fn of(said: &str) -> Option<Self> {
         let transfer = if said.contains("color_trc:arib-std-b67") {
-            Transfer::Hlg
+            HdrTransfer::Hlg
         } else if said.contains("color_trc:smpte2084") {
-            Transfer::Pq
+            HdrTransfer::Pq
         } else {
-            return Ok(None);
+            return None;
         };
-        Ok(Some(Self { transfer, is_converted: true }))
+        Some(Self { transfer, is_converted: true })
     }
 
     /// The same, where this ffmpeg cannot convert it.
@@ -56,8 +36,8 @@ impl Hdr {
             return String::new();
         }
         let transfer = match self.transfer {
-            Transfer::Hlg => "arib-std-b67",
-            Transfer::Pq => "smpte2084",
+            HdrTransfer::Hlg => "arib-std-b67",
+            HdrTransfer::Pq => "smpte2084",
         };
         format!(
             ",zscale=tin={transfer}:pin=bt2020:min=2020_ncl:t=linear:npl={WHITE}\
@@ -70,10 +50,7 @@ impl Hdr {
 
 impl fmt::Display for Hdr {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let name = match self.transfer {
-            Transfer::Hlg => "HLG",
-            Transfer::Pq => "PQ",
-        };
+        let name = self.transfer;
         if self.is_converted {
             return write!(f, "it is HDR ({name}) and was tone-mapped to sRGB");
         }

@@ -252,3 +252,196 @@ fn what_is_not_read_is_told_by_what_it_means() {
         assert!(!error.to_string().contains("trailing"), "{error}");
     }
 }
+
+/// A video of what a filter of ffmpeg draws.
+fn drawn(folder: &TempDir, name: &str, source: &str, further: &[&str]) -> PathBuf {
+    let path = folder.path().join(name);
+    let status = Command::new("ffmpeg")
+        .args(["-nostdin", "-loglevel", "error", "-f", "lavfi", "-i", source])
+        .args(["-c:v", "libx264", "-crf", "4", "-pix_fmt", "yuv420p"])
+        .args(further)
+        .arg(&path)
+        .status();
+    assert!(status.expect("ffmpeg").success());
+    path
+}
+
+#[test]
+fn undeclared_colours_are_those_of_hd_from_720_lines_on() {
+    let folder = TempDir::new().expect("folder");
+    let colour = "color=0x1A991A:rate=10:duration=0.5:size=";
+    let cases = [
+        // Size, the matrix it is coded with, the tags.
+        ("1280x720", "bt709", "unknown"),
+        ("1280x534", "bt709", "unknown"),
+        ("720x1280", "bt709", "unknown"),
+        ("720x576", "bt601", "unknown"),
+        ("1280x720", "bt601", "smpte170m"),
+        ("640x360", "bt709", "bt709"),
+    ];
+    for (at, (size, matrix, tag)) in cases.into_iter().enumerate() {
+        let coded = format!("format=gbrp,scale=out_color_matrix={matrix},format=yuv420p");
+        // x264 writes no tag for `unknown`.
+        let tags = format!("setparams=colorspace={tag}");
+        let filters = ["-vf", &format!("{coded},{tags}")];
+        let video = drawn(&folder, &format!("{at}.mp4"), &format!("{colour}{size}"), &filters);
+        let taken = taken(&video, 3, &folder.path().join(at.to_string())).expect("frames");
+        let image = Image::<Srgb>::load(&taken.files[0]).expect("a photograph");
+        let found = image.get(100, 100).map(|v| (v * 255.0).round());
+        for (found, wanted) in found.into_iter().zip([26.0, 153.0, 26.0]) {
+            assert!((found - wanted).abs() < 4.0, "{size} {matrix} {tag}: {found} for {wanted}");
+        }
+    }
+}
+
+/// Upright stripes that move by 6 px from field to field.
+const STRIPES: &str = "nullsrc=size=160x128:rate=50:duration=1.2,\
+    geq=lum='128+100*sin((X+6*N)/5)':cb=128:cr=128";
+
+/// How much more rows differ from their neighbours than from the rows behind these, levels.
+fn comb(image: &Image<Srgb>) -> f32 {
+    let (width, height) = (image.width(), image.height());
+    let row = |y: usize| &image.plane(1)[y * width..(y + 1) * width];
+    let apart = |rows: usize| {
+        let pairs = (0..height - 2).flat_map(|y| row(y).iter().zip(row(y + rows)));
+        pairs.map(|(a, b)| (a - b).abs()).sum::<f32>()
+    };
+    255.0 * (apart(1) - apart(2)) / ((height - 2) * width) as f32
+}
+
+/// The most combed photograph, and what is said of the video.
+fn combed(command: &[OsString], video: &Path) -> Result<(f32, String), VideoError> {
+    let into = video.with_extension("frames");
+    let taken = take_frames(command, video, &wanted(4, &into), &CancelToken::new())?;
+    let images = taken.files.iter().map(|file| Image::<Srgb>::load(file).expect("a photograph"));
+    let worst = images.map(|image| comb(&image).max(comb(&transposed(&image)))).fold(0.0, f32::max);
+    Ok((worst, taken.told("it")))
+}
+
+fn transposed(image: &Image<Srgb>) -> Image<Srgb> {
+    let mut turned = Image::new(image.height(), image.width());
+    for y in 0..image.height() {
+        for x in 0..image.width() {
+            turned.set(y, x, image.get(x, y));
+        }
+    }
+    turned
+}
+
+#[test]
+fn interlaced_video_is_deinterlaced_declared_or_not() {
+    let folder = TempDir::new().expect("folder");
+    let fields = ["-flags", "+ilme+ildct"];
+    let cases: [(&str, &str, &[&str], bool); 5] = [
+        ("top.mp4", "interlace=scan=tff:lowpass=0", &fields, true),
+        ("bottom.mp4", "interlace=scan=bff:lowpass=0", &fields, true),
+        ("silent-top.mp4", "interlace=scan=tff:lowpass=0,setfield=prog", &[], true),
+        ("silent-bottom.mov", "interlace=scan=bff:lowpass=0,setfield=prog", &[], true),
+        ("whole.mp4", "fps=25", &[], false),
+    ];
+    for (name, filter, flags, is_interlaced) in cases {
+        let further: Vec<&str> = ["-vf", filter].iter().chain(flags).copied().collect();
+        let video = drawn(&folder, name, STRIPES, &further);
+        let (worst, told) = combed(&ffmpeg(), &video).expect("frames");
+        assert!(worst < 1.0, "{name}: {worst}");
+        assert_eq!(told.contains("interlaced and was deinterlaced"), is_interlaced, "{told}");
+    }
+}
+
+#[test]
+fn interlaced_video_held_upright_is_deinterlaced_by_its_stored_rows() {
+    let folder = TempDir::new().expect("folder");
+    let further = ["-vf", "interlace=scan=tff:lowpass=0", "-flags", "+ilme+ildct"];
+    let mut bytes = fs::read(drawn(&folder, "lying.mp4", STRIPES, &further)).expect("read");
+    // The matrix of the track: a quarter of a turn. It follows 40 bytes behind the version of tkhd.
+    let at = bytes.windows(4).position(|window| window == b"tkhd").expect("a track") + 4 + 40;
+    let matrix: [i32; 9] = [0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30];
+    for (number, value) in matrix.into_iter().enumerate() {
+        bytes[at + 4 * number..][..4].copy_from_slice(&value.to_be_bytes());
+    }
+    let video = folder.path().join("upright.mp4");
+    fs::write(&video, bytes).expect("written");
+    let (worst, told) = combed(&ffmpeg(), &video).expect("frames");
+    assert!(worst < 1.0, "{worst}");
+    assert!(told.contains("deinterlaced"), "{told}");
+    let file = fs::read_dir(video.with_extension("frames")).expect("read").next();
+    let image = Image::<Srgb>::load(&file.expect("one").expect("read").path()).expect("read");
+    assert_eq!((image.width(), image.height()), (128, 160));
+}
+
+#[test]
+fn an_ffmpeg_without_filters_for_fields_says_so() {
+    let folder = TempDir::new().expect("folder");
+    let further = ["-vf", "interlace=scan=tff:lowpass=0", "-flags", "+ilme+ildct"];
+    let video = drawn(&folder, "fields.mp4", STRIPES, &further);
+    let without = |filters: &str| {
+        let script = format!(
+            "case \"$*\" in {filters}) echo \"No such filter\" >&2; exit 1;; esac; exec ffmpeg \"$@\""
+        );
+        ["sh", "-c", &script, "sh"].map(OsString::from)
+    };
+    let (worst, told) = combed(&without("*bwdif*"), &video).expect("yadif is there");
+    assert!(worst < 1.0 && told.contains("deinterlaced"), "{worst}: {told}");
+    let error = combed(&without("*bwdif*|*yadif*"), &video).expect_err("neither");
+    assert!(matches!(error, VideoError::Interlaced), "{error}");
+    assert!(error.hint().contains("deinterlace"), "{}", error.hint());
+}
+
+/// A box of MP4.
+fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    let length = (content.len() + 8) as u32;
+    [&length.to_be_bytes(), kind.as_slice(), content].concat()
+}
+
+/// Appends a box to the last of nested boxes.
+fn appended(mut bytes: Vec<u8>, path: &[&[u8; 4]], addition: &[u8]) -> Vec<u8> {
+    let (mut from, mut end) = (0, bytes.len());
+    for kind in path {
+        let found = bytes[from..end].windows(4).position(|window| window == kind.as_slice());
+        let at = from + found.expect("the box") - 4;
+        let length = u32::from_be_bytes(bytes[at..at + 4].try_into().expect("four"));
+        let longer = length + addition.len() as u32;
+        bytes[at..at + 4].copy_from_slice(&longer.to_be_bytes());
+        (from, end) = (at + 8, at + length as usize);
+    }
+    bytes.splice(end..end, addition.iter().copied());
+    bytes
+}
+
+#[test]
+fn a_video_of_all_directions_is_refused_by_name() {
+    let folder = TempDir::new().expect("folder");
+    let flat = fs::read(drawn(&folder, "flat.mp4", "testsrc2=size=128x64:duration=1", &[]));
+    let flat = flat.expect("read");
+    // As YouTube describes them: Spherical Video, version 2 and 1.
+    let head = boxed(b"svhd", b"\0\0\0\0camera\0");
+    let projection = [boxed(b"prhd", &[0; 16]), boxed(b"equi", &[0; 20])].concat();
+    let second = boxed(b"sv3d", &[head, boxed(b"proj", &projection)].concat());
+    let entry: [&[u8; 4]; 7] = [b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1"];
+    let uuid = b"\xff\xcc\x82\x63\xf8\x55\x4a\x93\x88\x14\x58\x7a\x02\x52\x1f\xdd";
+    let xml = "<rdf:SphericalVideo><GSpherical:Spherical>true</GSpherical:Spherical>\
+        <GSpherical:Stitched>true</GSpherical:Stitched><GSpherical:ProjectionType>equirectangular\
+        </GSpherical:ProjectionType>";
+    let software = "<GSpherical:StitchingSoftware>a tool</GSpherical:StitchingSoftware>";
+    let first = |xml: &str| boxed(b"uuid", &[uuid.as_slice(), xml.as_bytes()].concat());
+    let whole = first(&format!("{xml}{software}</rdf:SphericalVideo>"));
+    let short = first(&format!("{xml}</rdf:SphericalVideo>"));
+    let cases = [
+        ("second.mp4", appended(flat.clone(), &entry, &second), "(equirectangular)"),
+        ("first.mov", appended(flat.clone(), &entry[..2], &whole), "(equirectangular)"),
+        ("short.mov", appended(flat.clone(), &entry[..2], &short), "(of some projection)"),
+    ];
+    for (name, bytes, projection) in cases {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("written");
+        let error = taken(&path, 3, &folder.path().join("out")).expect_err(name);
+        assert!(
+            error.to_string().contains(&format!("360 degrees {projection}")),
+            "{name}: {error}"
+        );
+        assert!(error.hint().contains("flat (reframed) views"), "{}", error.hint());
+    }
+    // Twice as wide as high alone says nothing.
+    let path = folder.path().join("flat.mp4");
+    taken(&path, 3, &folder.path().join("out")).expect("frames");
+}
