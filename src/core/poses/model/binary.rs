@@ -11,9 +11,17 @@ use crate::poses::{PosesError, text};
 /// What COLMAP writes where a keypoint belongs to no point.
 const NO_POINT: u64 = u64::MAX;
 
+/// Camera models of later versions have numbers and counts of parameters up to these.
+const LATER_NUMBERS: std::ops::Range<i32> = 0..100;
+const LATER_PARAMETERS: u64 = 32;
+
+/// Largest side of a camera, px, in a file that has such models: bytes that are read at a wrong
+/// place make larger ones.
+const LARGEST_SIDE: usize = 1 << 24;
+
 pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), PosesError> {
     let cameras = file(dir, "cameras.bin");
-    let (cameras, unread) = read_of(&cameras, rows(&cameras, camera)?)?;
+    let (cameras, unread) = read_of(&cameras, camera_rows(&cameras)?)?;
     let model = SparseModel {
         cameras,
         images: rows(&file(dir, "images.bin"), image)?,
@@ -76,6 +84,27 @@ impl<'a> Bytes<'a> {
     }
 }
 
+/// The rows of `cameras.bin`. A camera model that COLMAP has added since has as many parameters as
+/// make the file end with its last camera; where several counts do, the file cannot be read.
+fn camera_rows(file: &Path) -> Result<Vec<CameraRow>, PosesError> {
+    let content = text::bytes(file)?;
+    let read = |later: Option<u64>| -> Result<(Vec<CameraRow>, bool), PosesError> {
+        let mut bytes = Bytes { left: &content, file };
+        let count = bytes.u64()?;
+        Ok((bytes.many(count, |bytes| camera(bytes, later))?, bytes.left.is_empty()))
+    };
+    let error = match read(None) {
+        Ok((rows, _)) => return Ok(rows),
+        Err(error) => error,
+    };
+    let fit = (0..=LATER_PARAMETERS).filter_map(|count| read(Some(count)).ok());
+    let mut fit = fit.filter(|(_, ends)| *ends);
+    match (fit.next(), fit.next()) {
+        (Some((rows, _)), None) => Ok(rows),
+        _ => Err(error),
+    }
+}
+
 fn rows<T>(
     file: &Path,
     row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
@@ -86,15 +115,20 @@ fn rows<T>(
     bytes.many(count, row)
 }
 
-fn camera(bytes: &mut Bytes<'_>) -> Result<CameraRow, PosesError> {
+/// A row; `later` is the count of parameters of models that are not known.
+fn camera(bytes: &mut Bytes<'_>, later: Option<u64>) -> Result<CameraRow, PosesError> {
     let id = bytes.u32()?;
     let number = i32::from_le_bytes(bytes.take()?);
     let (width, height) = (bytes.u64()? as usize, bytes.u64()? as usize);
+    if later.is_some() && width.max(height) > LARGEST_SIDE {
+        return Err(PosesError::bad_file(bytes.file, format!("camera {id} has no usable size")));
+    }
     let Some(model) = CameraModel::from_number(number) else {
         let (name, parameters) = CameraModel::unread_name(number);
         let reason = CameraModel::unread(&name);
+        let later = later.filter(|_| LATER_NUMBERS.contains(&number));
         // Where their count is not known, nothing behind it is.
-        let skipped = parameters.and_then(|count| bytes.many(count, Bytes::f64).ok());
+        let skipped = parameters.or(later).and_then(|count| bytes.many(count, Bytes::f64).ok());
         return match skipped {
             Some(_) => Ok(Err(UnreadCamera { id, reason })),
             None => Err(PosesError::bad_file(bytes.file, reason)),

@@ -52,14 +52,16 @@ impl CameraModel {
         (Self::Fisheye, 15, "FISHEYE", 4),
     ];
 
-    /// Number, name and count of parameters of models that are not read.
-    const UNREAD: [(i32, &'static str, u64); 6] = [
+    /// Number, name and count of parameters of models that are not read, as in COLMAP 4.1's
+    /// `src/colmap/sensor/models.h` and `models/*.h`.
+    const UNREAD: [(i32, &'static str, u64); 7] = [
         (7, "FOV", 5),
         (10, "THIN_PRISM_FISHEYE", 12),
         (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
         (12, "SIMPLE_DIVISION", 4),
         (13, "DIVISION", 5),
         (16, "EUCM", 6),
+        (17, "EQUIRECTANGULAR", 2),
     ];
 
     fn row(self) -> (Self, i32, &'static str, usize) {

@@ -140,3 +140,57 @@ fn an_image_without_its_camera_is_refused() {
     SparseModel { images, ..SparseModel::default() }.write_binary(dir.path()).unwrap();
     assert!(SparseModel::read(dir.path()).unwrap_err().to_string().contains("camera 9"));
 }
+
+/// A binary model with one PINHOLE camera before and one behind a camera of model `number` with so
+/// many parameters, and an image of each.
+fn model_with(dir: &Path, number: i32, parameters: usize) {
+    let k = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
+    let pose = Camera::from_pose(k, DQuat::IDENTITY, DVec3::ZERO);
+    let images = [1, 2, 3].map(|id| ModelImage::posed(id, id, format!("{id}.jpg"), &pose));
+    let cameras = vec![ModelCamera::pinhole(1, &k), ModelCamera::pinhole(3, &k)];
+    SparseModel { cameras, images: images.to_vec(), points: Vec::new() }.write_binary(dir).unwrap();
+    let file = dir.join("cameras.bin");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let row = (bytes.len() - 8) / 2;
+    let mut other = 2_u32.to_le_bytes().to_vec();
+    other.extend(number.to_le_bytes());
+    other.extend([192_u64, 96].map(u64::to_le_bytes).concat());
+    other.extend((0..parameters).flat_map(|i| (0.5 * i as f64).to_le_bytes()));
+    bytes.splice(8 + row..8 + row, other);
+    bytes[0] = 3;
+    std::fs::write(&file, bytes).unwrap();
+}
+
+#[test]
+fn of_a_binary_model_only_the_images_of_cameras_that_are_not_read_are_left_out() {
+    // All that COLMAP 4.1 has and we do not, then some of versions to come.
+    for (number, parameters, name) in [
+        (7, 5, "FOV"),
+        (10, 12, "THIN_PRISM_FISHEYE"),
+        (11, 16, "RAD_TAN_THIN_PRISM_FISHEYE"),
+        (12, 4, "SIMPLE_DIVISION"),
+        (13, 5, "DIVISION"),
+        (16, 6, "EUCM"),
+        (17, 2, "EQUIRECTANGULAR"),
+        (18, 0, "18"),
+        (18, 9, "18"),
+        (23, 16, "23"),
+    ] {
+        let dir = tempfile::tempdir().unwrap();
+        model_with(dir.path(), number, parameters);
+        let (model, left_out) = SparseModel::read_usable(dir.path()).expect(name);
+        let names: Vec<&str> = model.images.iter().map(|image| image.name.as_str()).collect();
+        assert_eq!(names, ["1.jpg", "3.jpg"], "{name}");
+        assert_eq!(left_out.len(), 1);
+        let reason = format!("camera model {name} is not read");
+        assert!(left_out[0].name == "2.jpg" && left_out[0].reason.starts_with(&reason), "{name}");
+    }
+}
+
+#[test]
+fn a_number_that_no_camera_model_can_have_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    model_with(dir.path(), 1_000_000, 4);
+    let error = SparseModel::read(dir.path()).unwrap_err().to_string();
+    assert!(error.contains("camera model 1000000"), "{error}");
+}
