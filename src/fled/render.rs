@@ -53,7 +53,7 @@ const MOST_STOPS: f64 = 16.0;
 #[derive(clap::Args)]
 #[group(required = true, multiple = false)]
 struct From {
-    /// Renders from the camera of this view.
+    /// Renders from the camera of this view, or of the photograph of this name.
     #[arg(long)]
     view: Option<String>,
     /// Renders from an orbit around the scene's centre: degrees from the cameras' mean direction.

@@ -2,11 +2,12 @@
 
 use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, Intrinsics, NamedCamera};
+use crate::capture::view_names;
 
 /// From where a picture of the scene is asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Viewpoint {
-    /// From the camera of the view of this name.
+    /// From the camera of the view of this name, or of the photograph of this name.
     View(String),
     /// From an orbit around the scene; see [`Orbit::camera`].
     Orbit {
@@ -88,7 +89,11 @@ impl Viewpoint {
     ) -> Result<Camera, ViewpointError> {
         match self {
             Self::View(name) => {
-                let view = cameras.iter().find(|camera| camera.name == *name);
+                let named = |name: &str| cameras.iter().find(|camera| camera.name == *name);
+                let taken = |photograph: &str| named(&view_names([photograph].into_iter())[0]);
+                // With its extension, or without one that has a dot in it.
+                let view = named(name).or_else(|| taken(name));
+                let view = view.or_else(|| taken(&format!("{name}.")));
                 let view = view.ok_or_else(|| unknown(name, cameras))?;
                 Ok(fitted(&view.camera(), size))
             }
@@ -194,6 +199,34 @@ mod tests {
         assert_eq!(camera(width_only), own.resized(100, 50));
         let height_only = PictureSize { width: None, height: Some(200) };
         assert_eq!(camera(height_only), own.resized(400, 200));
+    }
+
+    #[test]
+    fn a_view_is_known_by_its_own_name_and_by_that_of_its_photograph() {
+        let mut cameras = cameras();
+        for (camera, name) in cameras.iter_mut().zip(["003", "cam0_K_che_1", "004_jpg"]) {
+            camera.name = name.to_owned();
+        }
+        for (name, at) in [
+            ("003", 0),
+            ("003.png", 0),
+            ("003.JPG", 0),
+            ("cam0/Küche 1.heic", 1),
+            ("cam0_K_che_1", 1),
+            ("004_jpg", 2),
+            ("004.jpg.png", 2),
+            ("004.jpg", 2),
+        ] {
+            let view = Viewpoint::View(name.to_owned());
+            let camera = view.camera(&cameras, PictureSize::default()).expect(name);
+            assert_eq!(camera, cameras[at].camera(), "{name}");
+        }
+        let other = Viewpoint::View("cam1/003.png".to_owned());
+        let error = other.camera(&cameras, PictureSize::default()).expect_err("another folder");
+        assert_eq!(
+            error.to_string(),
+            "no view `cam1/003.png`; there are 003, cam0_K_che_1, 004_jpg"
+        );
     }
 
     #[test]

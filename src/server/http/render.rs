@@ -43,7 +43,7 @@ const SHORTEST_FOCAL: f64 = 1e-3;
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct RenderQuery {
-    /// Name of a photograph's view.
+    /// Name of a view or of its photograph.
     view: Option<String>,
     /// Degrees to the right of the middle of the photographs; 0 by default.
     azimuth: Option<f64>,
