@@ -10,6 +10,7 @@ mod assess;
 mod budget;
 mod entries;
 mod error;
+mod heads;
 mod layout;
 mod look;
 mod photograph;

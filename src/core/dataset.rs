@@ -96,7 +96,8 @@ impl GivenPoses {
     /// # Errors
     /// [`PosesError::BadFile`] when it is none of them. The content is read by [`Sfm::poses`].
     pub fn open(path: &Path, photographs: &[PhotoPath]) -> Result<Self, PosesError> {
-        let format = match path.extension().and_then(|extension| extension.to_str()) {
+        let extension = path.extension().and_then(|extension| extension.to_str());
+        let format = match extension.map(str::to_ascii_lowercase).as_deref() {
             _ if SparseModel::stands_in(path) => Format::Model,
             Some("json") => Format::Transforms,
             Some("npy") => Format::PosesBounds,
@@ -129,7 +130,9 @@ impl GivenPoses {
     /// Those of [`Self::check`].
     pub fn names(&self) -> Result<Vec<PhotoPath>, PosesError> {
         Ok(match self.read()?.0 {
-            Assignment::ByPath(views) => views.into_iter().map(|(name, _)| name).collect(),
+            Assignment::ByPath(views) => {
+                views.into_iter().map(|(name, view)| (name, view.and_then(size))).collect()
+            }
             Assignment::ByOrder(_) => Vec::new(),
         })
     }

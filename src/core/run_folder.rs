@@ -19,6 +19,22 @@ pub use viewpoint::{PictureSize, Viewpoint, ViewpointError};
 /// Name of the folder of what only a resumed run reads.
 const WORK: &str = "work";
 
+/// What a run leaves at the top of its folder, but for ground truth: photographs have that, too.
+const TOP: [&str; 12] = [
+    "scene.ply",
+    "cameras.json",
+    "metrics.json",
+    "config.json",
+    "poses.json",
+    "poses.svg",
+    "log.txt",
+    "inputs",
+    "restored",
+    "rounds",
+    "evaluation",
+    WORK,
+];
+
 /// The output folder of one run. Cheap to clone; holds a path only.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
@@ -126,6 +142,11 @@ impl RunFolder {
     /// What only a resumed run reads.
     pub fn work(&self) -> WorkFolder {
         WorkFolder { root: self.root.join(WORK) }
+    }
+
+    /// Whether a run leaves such a file, by its name relative to the folder and with `/`.
+    pub fn is_left(name: &str) -> bool {
+        name.split('/').next().is_some_and(|top| TOP.contains(&top))
     }
 
     /// Whether a file of this name, relative to the folder and with `/`, is part of the result: it
@@ -338,7 +359,10 @@ mod tests {
         ];
         for (path, expected) in paths {
             assert_eq!(path, Path::new(expected));
+            let name = expected.strip_prefix("out/").expect("below the folder");
+            assert!(RunFolder::is_left(name) || name == "gt/a.jpg", "{name}");
         }
+        assert!(!RunFolder::is_left("images/a.jpg") && !RunFolder::is_left("a.jpg"));
     }
 
     #[test]

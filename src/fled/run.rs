@@ -87,6 +87,8 @@ fn run(
     reporter: &mut Reporter,
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
+    // Also tells the reader of captures that this folder, which may lie in one, is none.
+    workspace.write_json(&workspace.folder().config(), options)?;
     let scratch = workspace.folder().work().capture();
     let photographs = if args.capture.is_file() && video::is_video(&args.capture) {
         &frames(args, &scratch, reporter, cancel)?

@@ -38,12 +38,14 @@ pub enum CaptureError {
     #[error("more than {MAX_FILES} files")]
     TooManyFiles,
     /// There is no photograph where one is looked for.
-    #[error("{}", none(seen, video.as_deref()))]
+    #[error("{}", none(seen, video.as_deref(), result.as_deref()))]
     NoPhotographs {
         /// Folders of pictures that are made of photographs, with how many each has.
         seen: Vec<(String, usize)>,
         /// A video.
         video: Option<String>,
+        /// The folder of a result of fled, whose pictures are none.
+        result: Option<String>,
     },
     /// Photographs lie in several folders that are not called parts of one scene.
     #[error("photographs lie in several places: {}", in_words(seen))]
@@ -111,13 +113,17 @@ impl CaptureError {
 }
 
 /// The sentence of [`CaptureError::NoPhotographs`].
-fn none(seen: &[(String, usize)], video: Option<&str>) -> String {
+fn none(seen: &[(String, usize)], video: Option<&str>, result: Option<&str>) -> String {
     let mut text = "there is no photograph, in images/ or elsewhere".to_owned();
     if !seen.is_empty() {
         text.push_str(&format!("; pictures lie in {}", in_words(seen)));
     }
     if let Some(video) = video {
         text.push_str(&format!("; there is a video, {video}"));
+    }
+    if let Some(folder) = result {
+        let folder = if folder.is_empty() { "this folder" } else { folder };
+        text.push_str(&format!("; {folder} holds a result of fled, whose pictures are not read"));
     }
     text
 }

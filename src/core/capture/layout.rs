@@ -7,9 +7,11 @@ use std::path::{Path, PathBuf};
 
 use crate::image::{Unread, named_like_a_photograph};
 use crate::photo_path::{PhotoPath, Tie, find_each};
+use crate::run_folder::RunFolder;
 
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
+use super::heads::{self, Told};
 use super::photograph::CaptureWarning;
 use super::place::{self, Place};
 use super::pose_files;
@@ -78,13 +80,9 @@ impl Layout {
     /// # Errors
     /// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
     pub(super) fn of(entries: Vec<Entry>) -> Result<Self, CaptureError> {
-        let foreign_poses = pose_files::foreign(&entries);
         let (pictures, others): (Vec<_>, Vec<_>) =
             entries.into_iter().partition(claims_to_be_a_photograph);
-        let others = { others.into_iter() }.filter(|entry| {
-            let is_poses = POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase());
-            is_poses || is_unused(entry) || hold(entry.path.as_str()).is_some()
-        });
+        let Beside { pictures, others, foreign_poses, result } = Beside::of(pictures, others);
         // Files without a role may lie anywhere.
         let count = pictures.len();
         let mut entries: Vec<Entry> = pictures.into_iter().chain(others).collect();
@@ -97,17 +95,18 @@ impl Layout {
         let hold = others.iter().find_map(|e| hold(e.path.as_str()));
         let unused: Vec<Entry> =
             { others.iter() }.filter(|entry| is_unused(entry)).cloned().collect();
-        // Those that name photographs.
-        let are_poses = |e: &&Entry| {
-            let name = e.path.name().to_ascii_lowercase();
-            POSE_FILES.contains(&&*name) && name != "poses_bounds.npy"
-        };
-        let named_poses: Vec<&Entry> = others.iter().filter(are_poses).collect();
+        let named_poses: Vec<&Entry> = others.iter().filter(|e| names_photographs(e)).collect();
         let has_low_and_high = place::part_low_light(&mut pictures);
         let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
             .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
         let Place { folder, photographs, others: elsewhere, warning } =
-            place_of(pictures, &named_poses, &unused)?.named_by(&pose_files::names(&named_poses));
+            place.named_by(&pose_files::names(&named_poses));
+        let place = place_of(pictures, &named_poses, &unused).map_err(|error| match error {
+            CaptureError::NoPhotographs { seen, video, .. } => {
+                CaptureError::NoPhotographs { seen, video, result }
+            }
+            error => error,
+        })?;
         let mut warnings = Vec::from_iter(warning);
         let truth = beside_photographs(truth, &photographs, &folder);
         let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
@@ -117,8 +116,8 @@ impl Layout {
         });
         let found = pose_files::find(&others, &folder, &photographs, &elsewhere, &mut warnings);
         let (poses, pose_files) = found.unzip();
-        if poses.is_none() && warnings.iter().all(|warning| warning.code != "poses_unused") {
-            warnings.extend(foreign_poses);
+        if poses.is_none() {
+            warnings.extend(pose_files::foreign(&foreign_poses));
         }
         Ok(Self {
             ground_truth,
@@ -172,6 +171,68 @@ pub(super) fn hold(path: &str) -> Option<u32> {
 
 /// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
 /// without one where its bytes are a picture's.
+/// A capture's files without those of results of fled, which may lie among them.
+struct Beside {
+    pictures: Vec<Entry>,
+    /// Those that mean something.
+    others: Vec<Entry>,
+    /// Poses in formats that are not read, with the programs that write them.
+    foreign_poses: Vec<(Entry, &'static str)>,
+    /// The folder of one of the results.
+    result: Option<String>,
+}
+
+impl Beside {
+    fn of(pictures: Vec<Entry>, others: Vec<Entry>) -> Self {
+        let told: Vec<(Entry, Option<Told>)> = { others.into_iter() }
+            .map(|entry| (if is_known(&entry) { None } else { heads::told(&entry) }, entry))
+            .map(|(told, entry)| (entry, told))
+            .collect();
+        let is_result = |(entry, told): &(Entry, Option<Told>)| {
+            (*told == Some(Told::Result)).then(|| entry.path.folder().to_owned())
+        };
+        let results: Vec<String> = told.iter().filter_map(is_result).collect();
+        let is_within = |entry: &Entry| results.iter().any(|r| entry.path.below(r).is_some());
+        // A run may leave its result where the photographs are.
+        let are_all_within = pictures.iter().all(is_within);
+        let is_left = |entry: &Entry| {
+            let mut names = results.iter().filter_map(|result| entry.path.below(result));
+            names.any(|name| RunFolder::is_left(name.as_str()))
+        };
+        let is_own = |entry: &Entry| match are_all_within {
+            true => !is_left(entry),
+            false => !is_within(entry),
+        };
+        let mut beside = Self {
+            pictures: pictures.into_iter().filter(is_own).collect(),
+            others: Vec::new(),
+            foreign_poses: Vec::new(),
+            result: results.first().cloned(),
+        };
+        for (entry, told) in told.into_iter().filter(|(entry, _)| is_own(entry)) {
+            match told {
+                Some(Told::Foreign(program)) => beside.foreign_poses.push((entry, program)),
+                Some(Told::Transforms) => beside.others.push(entry),
+                None if is_known(&entry) => beside.others.push(entry),
+                Some(Told::Result) | None => {}
+            }
+        }
+        beside
+    }
+}
+
+/// Whether a file that is no picture means something by its name.
+fn is_known(entry: &Entry) -> bool {
+    let is_poses = POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase());
+    is_poses || is_unused(entry) || hold(entry.path.as_str()).is_some()
+}
+
+/// Whether one of these files holds poses by the names of their photographs.
+fn names_photographs(entry: &Entry) -> bool {
+    let is_other = is_unused(entry) || hold(entry.path.as_str()).is_some();
+    !is_other && !entry.path.name().eq_ignore_ascii_case("poses_bounds.npy")
+}
+
 fn claims_to_be_a_photograph(entry: &Entry) -> bool {
     let path = Path::new(entry.path.name());
     named_like_a_photograph(path)

@@ -155,6 +155,7 @@ pub(super) fn find(
             seen: places(&made),
             video: video.map(|entry| entry.path.to_string()),
         });
+            result: None,
     }
     let in_root = { candidates.iter() }.filter(|entry| entry.path.folder().is_empty()).count();
     let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();

@@ -1,14 +1,12 @@
 //! Which files of a capture give its poses.
 
-use std::collections::BTreeSet;
-use std::path::Path;
+use std::collections::{BTreeMap, BTreeSet};
 
 use super::entries::Entry;
 use super::error::MIN_VIEWS;
 use super::layout::{GivenPosesFile, POSE_FILES};
 use super::photograph::CaptureWarning;
 use crate::dataset::GivenPoses;
-use crate::image::named_like_a_photograph;
 use crate::photo_path::PhotoPath;
 
 /// Folders in which COLMAP models are looked for, themselves or one for each model; "" is the
@@ -19,39 +17,24 @@ const MODELS: [&str; 4] = ["sparse", "colmap/sparse", "dense/sparse", ""];
 /// Folders whose models are no poses of the capture.
 const NO_POSES: [&str; 1] = ["sparse_gt"];
 
-/// Parts of the paths in which other programs keep poses, and these programs.
-const FOREIGN: [(&str, &str); 14] = [
-    ("/cameras.xml", "Metashape"),
-    ("/sfm_data.json", "OpenMVG"),
-    ("/cameras.sfm", "Meshroom"),
-    ("/reconstruction.json", "OpenSfM"),
-    ("/bundle.out", "Bundler"),
-    (".nvm", "VisualSFM"),
-    (".rcproj", "RealityCapture"),
-    ("/cameras_sphere.npz", "IDR and NeuS"),
-    ("/cameras.npz", "IDR and NeuS"),
-    ("/meta_data.json", "SDFStudio"),
-    ("/pose/", "NSVF"),
-    ("/keyframes/cameras/", "Polycam"),
-    ("/cameras.json", "the program that wrote them"),
-    ("/cameras.csv", "the program that wrote them"),
-];
-
-/// A warning of poses in the format of another program.
-pub(super) fn foreign(entries: &[Entry]) -> Option<CaptureWarning> {
-    let program = |entry: &Entry| {
-        let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
-        let is_none = named_like_a_photograph(Path::new(&path)) || entry.path.lies_in(&NO_POSES);
-        let mut all = FOREIGN.iter().filter(|_| !is_none);
-        all.find(|(part, _)| path.contains(part)).map(|(_, program)| program)
+/// A warning of the poses of each program in whose format they are not read.
+pub(super) fn foreign(files: &[(Entry, &'static str)]) -> Vec<CaptureWarning> {
+    let mut programs: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
+    for (entry, program) in files.iter().filter(|(entry, _)| !entry.path.lies_in(&NO_POSES)) {
+        programs.entry(program).or_default().push(entry.path.as_str());
+    }
+    let warning = |(program, files): (&str, Vec<&str>)| {
+        let holds = match files.len() {
+            1 => format!("{} holds", files[0]),
+            count => format!("{} and {} more files hold", files[0], count - 1),
+        };
+        let message = format!(
+            "{holds} poses that are not read, and poses are found anew: to use them, make a COLMAP \
+             model or a transforms.json of them with {program} or a converter"
+        );
+        CaptureWarning::new("poses_unused", message)
     };
-    let (entry, program) = { entries.iter() }.find_map(|e| Some((e, program(e)?)))?;
-    let message = format!(
-        "{} holds poses that are not read, and poses are found anew: to use them, make a COLMAP \
-         model or a transforms.json of them with {program} or a converter",
-        entry.path
-    );
-    Some(CaptureWarning::new("poses_unused", message))
+    programs.into_iter().map(warning).collect()
 }
 
 /// Poses of the capture.
@@ -64,8 +47,12 @@ struct Set {
 
 /// The names of photographs in NeRF's files of poses, seen from the capture: they have folders.
 pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
+/// Copies of these files under names of their users' count where there are no others.
     let json = { entries.iter() }.filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json"));
-    let names = json.filter_map(|entry| {
+    let (known, others): (Vec<&Entry>, Vec<&Entry>) =
+        json.copied().partition(|e| has_known_name(e));
+    let json = if known.is_empty() { others } else { known };
+    let names = json.into_iter().filter_map(|entry| {
         let names = GivenPoses::open(&entry.file, &[]).ok()?.names().ok()?;
         let folder = entry.path.folder().to_owned();
         Some(names.into_iter().map(move |name| name.inside(&folder)))
@@ -134,6 +121,17 @@ impl Set {
 fn posed(set: &Set, photographs: &[Entry]) -> Option<usize> {
     let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
     let given = GivenPoses::open(set.given.path(), &photographs);
+/// The names of photographs in the poses that are used; none where they cannot be read.
+pub(super) fn names_in(given: Option<&GivenPosesFile>) -> Vec<PhotoPath> {
+    let names = given.map(|given| GivenPoses::open(given.path(), &[]).and_then(|it| it.names()));
+    names.and_then(Result::ok).unwrap_or_default()
+}
+
+/// Whether a file of poses is called as programs call it.
+fn has_known_name(entry: &Entry) -> bool {
+    POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase())
+}
+
     given.and_then(|given| given.check()).ok()
 }
 
@@ -155,10 +153,7 @@ fn unused(entries: &[Entry], sets: &[Set], counts: &[Option<usize>]) -> Option<C
         );
         return Some(CaptureWarning::new("poses_unused", message));
     }
-    let is_part = |e: &&Entry| {
-        let name = e.path.name().to_ascii_lowercase();
-        POSE_FILES.contains(&&*name) && !e.path.lies_in(&NO_POSES)
-    };
+    let is_part = |e: &&Entry| has_known_name(e) && !e.path.lies_in(&NO_POSES);
     let lone: Vec<&str> = { entries.iter() }.filter(is_part).map(|e| e.path.as_str()).collect();
     let message = format!(
         "no poses are read from {}: a COLMAP model is `cameras` and `images` in one folder, both \
@@ -180,7 +175,8 @@ fn anywhere(entries: &[Entry]) -> Vec<Set> {
     let folders: BTreeSet<&str> = sets.map(|entry| entry.path.folder()).collect();
     let sets = folders.iter().flat_map(|folder| {
         let models = models_in(entries, folder, "");
-        models.into_iter().chain(files_in(entries, folder))
+        let files = models.into_iter().chain(files_in(entries, folder));
+        files.chain(renamed_in(entries, folder))
     });
     sets.collect()
 }
@@ -189,6 +185,19 @@ fn anywhere(entries: &[Entry]) -> Vec<Set> {
 fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let at = |name: &str| {
         let path = PhotoPath::new(name).inside(folder);
+/// NeRF's files of poses in a folder under names of their users'.
+fn renamed_in(entries: &[Entry], folder: &str) -> Vec<Set> {
+    let is_json = |e: &Entry| e.path.name().to_ascii_lowercase().ends_with(".json");
+    let renamed = { entries.iter() }
+        .filter(|e| e.path.folder() == folder && is_json(e) && !has_known_name(e));
+    let set = |entry: &Entry| Set {
+        name: entry.path.to_string(),
+        given: GivenPosesFile::Transforms(entry.file.clone()),
+        files: vec![entry.clone()],
+    };
+    renamed.map(set).collect()
+}
+
         let mut all = entries.iter();
         all.find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str())).cloned()
     };

@@ -258,6 +258,58 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
     assert_eq!(read(&stored), (["0.jpg", "1.jpg", "2.jpg"].map(str::to_owned).to_vec(), vec![]));
 }
 
+/// What a run with these options leaves, in this folder.
+fn result(folder: &str) -> Vec<(String, Vec<u8>)> {
+    let options = crate::pipeline::config::Options::default();
+    let mut files: Vec<(String, Vec<u8>)> = { 0..3 }
+        .flat_map(|i| ["inputs", "restored", "rounds/1/renders"].map(|f| format!("{f}/{i}.jpg")))
+        .zip((50..).map(jpeg))
+        .collect();
+    files.push(("config.json".to_owned(), serde_json::to_vec_pretty(&options).expect("JSON")));
+    files.push(("cameras.json".to_owned(), br#"[{"world_to_camera": []}]"#.to_vec()));
+    files.into_iter().map(|(n, b)| (PhotoPath::new(&n).inside(folder).to_string(), b)).collect()
+}
+
+#[test]
+fn results_of_fled_are_no_part_of_a_capture() {
+    let evaluation = br#"{"training_views": 9, "tied_views": 9, "camera_error": 0.1}"#.to_vec();
+    let report = br#"{"rounds": [{"gaussians": 9}], "registered": 9, "best_round": 1}"#.to_vec();
+    for around in ["", "images/", "walk/"] {
+        let names = ["0.jpg", "1.jpg", "2.jpg"].map(|name| format!("{around}{name}"));
+        let own = photographs(&names.each_ref().map(String::as_str));
+        let alone = |files: &[(String, Vec<u8>)]| {
+            let fingerprint = std::cell::RefCell::new(Vec::new());
+            both(files, |opened| {
+                let capture = opened.expect("a capture");
+                assert_eq!(capture.assessments.len(), 3, "{:?}", capture.assessments);
+                let codes = capture.warnings.iter().map(|warning| warning.code.as_str());
+                assert!(codes.eq(["few"]), "{:?}", capture.warnings);
+                fingerprint.borrow_mut().push(capture.fingerprint);
+            });
+            fingerprint.into_inner()
+        };
+        let before = alone(&own);
+        let judged =
+            [("judged/evaluation.json", evaluation.clone()), ("judged/0.truth.jpg", jpeg(70))];
+        let shown =
+            [("demo/metrics.json", report.clone()), ("demo/capture/images/0.jpg", jpeg(71))];
+        let others = judged.into_iter().chain(shown).map(|(name, bytes)| (name.to_owned(), bytes));
+        let others: Vec<_> = others.collect();
+        // The last two lie where the photographs do.
+        for more in [result("result"), result("a/b"), others, result(""), result(around)] {
+            assert_eq!(alone(&[own.clone(), more].concat()), before, "{around}");
+        }
+    }
+    let error =
+        open_folder(&result("").iter().map(|(n, b)| (n.as_str(), b.clone())).collect::<Vec<_>>());
+    let error = error.expect_err("no photographs").to_string();
+    assert!(error.contains("this folder holds a result of fled"), "{error}");
+    // What users call so is theirs.
+    let mut own = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
+    own.push(("images/config.json".to_owned(), br#"{"rounds": 3}"#.to_vec()));
+    assert_eq!(read(&own).0.len(), 3);
+}
+
 #[test]
 fn files_like_photographs_are_listed_with_what_to_do() {
     let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);

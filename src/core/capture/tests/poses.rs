@@ -222,23 +222,68 @@ fn pictures_that_poses_name_are_read_and_not_their_namesakes() {
 }
 
 #[test]
-fn poses_in_the_formats_of_other_programs_are_told() {
-    let told = |files: &[&str]| -> Vec<String> {
-        let files: Vec<_> = files.iter().map(|name| (*name, b"{}".to_vec())).collect();
+fn poses_in_the_formats_of_other_programs_are_told_whatever_they_are_called() {
+    let told = |files: &[(&str, &str)]| -> Vec<String> {
+        let files: Vec<_> =
+            { files.iter() }.map(|(name, text)| (*name, text.as_bytes().to_vec())).collect();
         let warnings = with(&files).warnings.into_iter();
         let unused = warnings.filter(|warning| warning.code == "poses_unused");
         unused.map(|warning| warning.message).collect()
     };
-    for (path, program) in [
-        ("cameras.xml", "Metashape"),
-        ("keyframes/cameras/17.json", "Polycam"),
-        ("pose/0001.txt", "NSVF"),
+    let metashape = "<?xml version=\"1.0\"?>\r\n<document version=\"2.0.0\">\r\n<chunk label=\"1\">\
+                     <sensors/><cameras><camera id=\"0\" label=\"a\"></camera></cameras>";
+    let xmp = "<x:xmpmeta><rdf:Description xcr:Version=\"3\"><xcr:Rotation>1 0</xcr:Rotation>";
+    for (path, text, program) in [
+        ("scene_cameras.xml", metashape, "Metashape"),
+        ("blocks.xml", "<BlocksExchange version=\"3.2\"><Photo><Pose>", "ContextCapture"),
+        ("images/a.xmp", xmp, "RealityScan"),
+        ("registration.csv", "#name,x,y,alt,heading,pitch,roll\na.jpg,1,2,3\n", "RealityScan"),
+        ("scene.out", "# Bundle file v0.3\n12 0\n", "Bundler"),
+        ("scene.nvm", "NVM_V3\n\n12\n", "VisualSFM"),
+        ("my.json", r#"{"sfm_data_version": "0.3", "views": [], "extrinsics": []}"#, "OpenMVG"),
+        ("a.sfm", r#"{"views": [{"viewId": "1"}], "poses": []}"#, "Meshroom"),
+        ("rec.json", r#"[{"cameras": {}, "shots": {"a.jpg": {"rotation": []}}}]"#, "OpenSfM"),
+        ("cameras/17.json", r#"{"t_00": 1, "t_23": 0}"#, "Polycam"),
+        ("metadata.json", r#"{"h": 64, "K": [80, 0], "poses": [[0, 0, 0, 1]]}"#, "Record3D"),
+        ("input.txt", "# Image list with two lines of data per image:\n", "cameras.txt"),
+        ("pose/0001.txt", "1 0 0 0", "NSVF"),
     ] {
-        let told = told(&[path]);
+        let told = told(&[(path, text)]);
         let is_told = told.len() == 1 && told[0].starts_with(path) && told[0].contains(program);
         assert!(is_told, "{path}: {told:?}");
     }
-    for path in ["pose/0001.jpg", "notes.txt"] {
-        assert_eq!(told(&[path]), [""; 0], "{path}");
+    let sidecars = told(&[("images/a.xmp", xmp), ("images/b.xmp", xmp), ("s.xml", metashape)]);
+    assert!(sidecars[0].starts_with("s.xml holds poses"), "{sidecars:?}");
+    assert!(sidecars[1].starts_with("images/a.xmp and 1 more files hold"), "{sidecars:?}");
+    let lightroom = "<x:xmpmeta><rdf:Description crs:Exposure2012=\"0.5\"/>";
+    for (path, text) in [
+        ("pose/0001.jpg", "{}"),
+        ("notes.txt", "cameras, poses and frames"),
+        ("a.xmp", lightroom),
+        ("cameras.xml", "<html></html>"),
+        ("metadata.json", r#"{"title": "a walk"}"#),
+    ] {
+        assert_eq!(told(&[(path, text)]), [""; 0], "{path}");
     }
+    let utf16: Vec<u8> = { "\u{feff}".encode_utf16().chain(metashape.encode_utf16()) }
+        .flat_map(u16::to_le_bytes)
+        .collect();
+    let said = |w: &CaptureWarning| w.message.starts_with("wide.xml holds poses");
+    assert!(with(&[("wide.xml", utf16)]).warnings.iter().any(said));
+}
+
+#[test]
+fn transforms_under_another_name_are_used() {
+    let names = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"].map(|name| format!("images/{name}"));
+    for path in ["transforms_undistorted.json", "nerf/export-2.JSON", "images/frames.json"] {
+        let capture = with(&[(path, transforms(&names))]);
+        let taken = capture.poses.as_ref().map(|poses| poses.path().to_owned());
+        assert!(taken.is_some_and(|taken| taken.ends_with(path)), "{path}: {:?}", capture.warnings);
+        let said = |w: &CaptureWarning| w.message.contains(&format!("of {path} are taken"));
+        assert!(capture.warnings.iter().any(said), "{path}: {:?}", capture.warnings);
+    }
+    // Those that are called as programs call them come first.
+    let capture = with(&[("transforms.json", transforms(&names)), ("a.json", transforms(&names))]);
+    let taken = capture.poses.as_ref().expect("poses").path();
+    assert!(taken.ends_with("transforms.json"));
 }

@@ -1,0 +1,119 @@
+//! What a file beside photographs is, by what it begins with: users choose its name.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::entries::Entry;
+
+/// How much of a file is looked at, bytes: lists of names may come before the first pose.
+const HEAD_BYTES: u64 = 1 << 20;
+
+/// Extensions of files that are looked at.
+const EXTENSIONS: [&str; 8] = ["json", "xml", "xmp", "csv", "txt", "out", "nvm", "sfm"];
+
+/// Files that fled writes at the top of a result, and words in them: of a run, also of one that is
+/// shown by `make demo`, and of an evaluation.
+const RESULTS: [(&str, &[&str]); 3] = [
+    ("config.json", &["\"pose_source\"", "\"lut_scope\"", "\"deblur\""]),
+    ("metrics.json", &["\"best_round\"", "\"gaussians\"", "\"registered\""]),
+    ("evaluation.json", &["\"training_views\"", "\"tied_views\"", "\"camera_error\""]),
+];
+
+/// Words of NeRF's `transforms.json`.
+const TRANSFORMS: [&str; 2] = ["\"frames\"", "\"transform_matrix\""];
+
+/// Programs whose poses are not read, and words that all of their files have, in lower case. The
+/// first row that fits counts.
+const FOREIGN: [(&str, &[&str]); 22] = [
+    ("Metashape", &["<document", "<chunk", "<sensor"]),
+    ("Metashape", &["#label,x/"]),
+    ("Metashape", &["photoid,", "omega"]),
+    ("RealityScan", &["xcr:rotation"]),
+    ("RealityScan", &["xcr:poseprior"]),
+    ("RealityScan", &["#name,x,y"]),
+    ("ContextCapture", &["<blocksexchange", "<pose"]),
+    ("Pix4D", &["omega phi kappa"]),
+    ("Bundler", &["# bundle file"]),
+    ("VisualSFM", &["nvm_v3"]),
+    ("OpenMVG", &["\"sfm_data_version\"", "\"extrinsics\""]),
+    ("Meshroom", &["\"viewid\"", "\"poses\""]),
+    ("OpenSfM", &["\"cameras\"", "\"shots\"", "\"rotation\""]),
+    ("Polycam", &["\"t_00\"", "\"t_23\""]),
+    ("SDFStudio", &["\"frames\"", "\"camtoworld\""]),
+    ("EyefulTower", &["\"krt\"", "\"cameraid\""]),
+    ("Record3D", &["\"poses\"", "\"k\""]),
+    ("the trainer that wrote them", &["\"img_name\"", "\"position\"", "\"rotation\""]),
+    ("kapture", &["# kapture format", "qw, qx"]),
+    ("MVSNet", &["extrinsic\n", "intrinsic\n"]),
+    ("the program that wrote them", &["# timestamp tx ty tz"]),
+    (
+        "COLMAP, whose files are called cameras.txt and images.txt,",
+        &["# image list with two lines"],
+    ),
+];
+
+/// Files that only their names tell: parts of their paths, and the programs that write them.
+const FOREIGN_NAMES: [(&str, &str); 4] = [
+    (".rcproj", "RealityScan"),
+    ("/cameras_sphere.npz", "IDR and NeuS"),
+    ("/cameras.npz", "IDR and NeuS"),
+    ("/pose/", "NSVF"),
+];
+
+/// What a file is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Told {
+    /// At the top of a result of fled.
+    Result,
+    /// NeRF's poses, whatever the file is called.
+    Transforms,
+    /// Poses in the format of this program, which is not read.
+    Foreign(&'static str),
+}
+
+/// Whether files of this name are looked at.
+pub(super) fn are_told(name: &str) -> bool {
+    let extension = Path::new(name).extension().and_then(|extension| extension.to_str());
+    extension.is_some_and(|own| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(own)))
+}
+
+/// What a file that is no picture is, where that is known.
+pub(super) fn told(entry: &Entry) -> Option<Told> {
+    let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
+    let by_name = || { FOREIGN_NAMES.iter() }.find(|(part, _)| path.contains(part));
+    let by_name = || by_name().map(|(_, program)| Told::Foreign(program));
+    if !are_told(&path) {
+        return by_name();
+    }
+    let head = head(&entry.file).unwrap_or_default();
+    let has = |words: &[&str]| words.iter().all(|word| head.contains(word));
+    let name = path.rsplit('/').next().unwrap_or_default();
+    if RESULTS.iter().any(|(own, words)| *own == name && has(words)) {
+        return Some(Told::Result);
+    }
+    if name.ends_with(".json") && has(&TRANSFORMS) {
+        return Some(Told::Transforms);
+    }
+    let foreign = FOREIGN.iter().find(|(_, words)| has(words));
+    foreign.map(|(program, _)| Told::Foreign(program)).or_else(by_name)
+}
+
+/// The beginning of a text, in lower case; nothing of another file.
+fn head(file: &Path) -> Option<String> {
+    let mut bytes = Vec::new();
+    File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut bytes).ok()?;
+    // Windows writes XML and text in UTF-16, too.
+    let text = match &bytes[..] {
+        [0xff, 0xfe, rest @ ..] => utf16(rest, u16::from_le_bytes),
+        [0xfe, 0xff, rest @ ..] => utf16(rest, u16::from_be_bytes),
+        bytes if bytes.contains(&0) => return None,
+        bytes => String::from_utf8_lossy(bytes).into_owned(),
+    };
+    Some(text.replace('\r', "").to_ascii_lowercase())
+}
+
+fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
+    let units = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));
+    char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
+}
