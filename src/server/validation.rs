@@ -28,7 +28,7 @@ pub struct CaptureReport {
 /// The assessment of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Assessment {
-    /// Path as sent, below the folder of the photographs.
+    /// Path as sent, below the folder of the photographs; numbered if sent more than once.
     pub name: String,
     /// The name of its view in the results of jobs; of a photograph that is used, once stored.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -18,6 +18,7 @@ use crate::plain::is_plain;
 
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
+use super::heads;
 use super::layout::{POSE_FILES, hold};
 use super::video::is_video;
 
@@ -37,6 +38,13 @@ const MAX_TOTAL_RATIO: u64 = 25;
 
 /// Archives up to this size, unpacked, may shrink by any factor.
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
+
+/// Largest file that is unpacked only to see what it is; larger than lists of poses are, and raw
+/// files.
+const LARGEST_TOLD: u64 = 64 << 20;
+
+/// Most bytes of such files together.
+const MOST_TOLD: u64 = 256 << 20;
 
 /// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
 const READ_METHODS: [CompressionMethod; 3] =
@@ -86,8 +94,7 @@ pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
         return Ok(0);
     }
     let (_, wanted) = open(path)?;
-    let unpacked = wanted.iter().filter(|item| !item.is_only_listed);
-    Ok(unpacked.map(|item| item.size).sum())
+    Ok(wanted.iter().filter(|item| item.is_unpacked).map(|item| item.size).sum())
 }
 
 /// Writes one file of a zip: that which was unpacked as `file`, wherever that was.
@@ -98,7 +105,7 @@ pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
 pub fn write_unpacked(path: &Path, file: &Path, out: &mut impl Write) -> Result<(), CaptureError> {
     let (mut archive, wanted) = open(path)?;
     let number = file.file_stem().and_then(|stem| stem.to_str()?.parse::<usize>().ok());
-    let item = number.and_then(|number| wanted.get(number)).filter(|item| !item.is_only_listed);
+    let item = number.and_then(|number| wanted.get(number)).filter(|item| item.is_unpacked);
     let item = item.ok_or_else(|| ArchiveFault::whole("has no such file"))?;
     let mut source =
         archive.by_index(item.index).map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
@@ -137,12 +144,77 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     Ok(())
 }
 
-/// An entry that is unpacked, or only listed because it is not used.
+/// An entry that is unpacked, or only listed.
 struct Wanted {
     index: usize,
     name: String,
     size: u64,
-    is_only_listed: bool,
+    is_unpacked: bool,
+    role: Role,
+}
+
+/// What an entry is unpacked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Role {
+    /// A photograph.
+    Photograph,
+    /// Poses, or which photographs are held out.
+    Known,
+    /// To see whether it is of a format that is not read, as its name says.
+    Unread,
+    /// To see whether it plays a role.
+    Told,
+    /// For nothing: a video, or an archive.
+    Listed,
+}
+
+/// Bytes of the entries that are unpacked.
+#[derive(Default)]
+struct Totals {
+    unpacked: u64,
+    packed: u64,
+    told: u64,
+}
+
+impl Totals {
+    /// Whether an entry is unpacked. Limits hold for those that are: one that is not used, or may
+    /// not be, is never touched, whatever it would become.
+    fn admits<R: Read>(
+        &mut self,
+        name: &str,
+        entry: &ZipFile<'_, R>,
+        role: Role,
+    ) -> Result<bool, ArchiveFault> {
+        let size = entry.size();
+        match role {
+            Role::Listed => return Ok(false),
+            Role::Told | Role::Unread => {
+                let is_fit = size <= LARGEST_TOLD && self.told + size <= MOST_TOLD;
+                if !is_fit || check_entry(name, entry).is_err() {
+                    return Ok(false);
+                }
+                self.told += size;
+            }
+            Role::Photograph | Role::Known => check_entry(name, entry)?,
+        }
+        if role == Role::Photograph && size > MAX_FILE_BYTES {
+            return Ok(false);
+        }
+        self.unpacked = self.unpacked.saturating_add(size);
+        self.packed = self.packed.saturating_add(entry.compressed_size());
+        if self.unpacked > MAX_ARCHIVE_BYTES {
+            return Err(ArchiveFault::of(name, "unpacked, the archive is larger than 8 GiB"));
+        }
+        Ok(true)
+    }
+
+    fn check(&self, length: u64) -> Result<(), ArchiveFault> {
+        let packed = self.packed.min(length);
+        if self.unpacked > TOTAL_RATIO_FREE_BYTES && self.unpacked / MAX_TOTAL_RATIO > packed {
+            return Err(ArchiveFault::whole("all files together shrunk more than photographs can"));
+        }
+        Ok(())
+    }
 }
 
 /// Holds every entry against the rules and gives those that play a role.
@@ -157,29 +229,30 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
     if archive.has_overlapping_entries().map_err(whole)? {
         return Err(ArchiveFault::whole("entries overlap"));
     }
-    let (mut wanted, mut total) = (Vec::new(), 0_u64);
+    let (mut wanted, mut totals) = (Vec::new(), Totals::default());
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(whole)?;
         let name = name_of(&entry).map_err(whole)?;
         check_name(&name)?;
-        check_entry(&name, &entry)?;
-        total = total.saturating_add(entry.size());
-        if total > MAX_ARCHIVE_BYTES {
-            return Err(ArchiveFault::of(&name, "unpacked, the archive is larger than 8 GiB"));
+        check_kind(&name, &entry)?;
+        let Some(role) = role(&name).filter(|_| entry.is_file()) else {
+            continue;
+        };
+        let size = entry.size();
+        let is_unpacked = totals.admits(&name, &entry, role)?;
+        if !is_unpacked && role == Role::Told {
+            continue;
         }
-        let is_only_listed = is_unused(&name);
-        if entry.is_file() && (is_only_listed || plays_a_role(&name)) {
-            // Only these names are shown and stored, unlike `Icon\r` of macOS.
-            if !is_plain(&name) {
-                let shown = name.escape_debug().to_string();
-                return Err(ArchiveFault::of(&shown, "a name with control characters"));
-            }
-            wanted.push(Wanted { index, name, size: entry.size(), is_only_listed });
+        // Only these names are shown and stored, unlike `Icon\r` of macOS.
+        if !is_plain(&name) {
+            let shown = name.escape_debug().to_string();
+            return Err(ArchiveFault::of(&shown, "a name with control characters"));
         }
+        wanted.push(Wanted { index, name, size, is_unpacked, role });
     }
-    if total > TOTAL_RATIO_FREE_BYTES && total / MAX_TOTAL_RATIO > length {
-        return Err(ArchiveFault::whole("all files together shrunk more than photographs can"));
-    }
+    totals.check(length)?;
+    // Photographs are asked for by their number: what is also looked at does not change it.
+    wanted.sort_by_key(|item| item.role == Role::Told);
     Ok(wanted)
 }
 
@@ -220,13 +293,22 @@ fn check_name(name: &str) -> Result<(), ArchiveFault> {
     Ok(())
 }
 
-fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), ArchiveFault> {
-    let refuse = |reason: &str| Err(ArchiveFault::of(name, reason));
+/// Whether an entry is a file or a folder and no archive, used or not.
+fn check_kind<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), ArchiveFault> {
     // The upper bits of a Unix mode are the kind: 0 where the packer did not say.
     let kind = entry.unix_mode().unwrap_or(0) & 0o170_000;
     if entry.is_symlink() || !matches!(kind, 0 | 0o100_000 | 0o040_000) {
-        return refuse("a link or special file");
+        return Err(ArchiveFault::of(name, "a link or special file"));
     }
+    if Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip")) {
+        return Err(ArchiveFault::of(name, "an archive inside the archive"));
+    }
+    Ok(())
+}
+
+/// Whether an entry can be unpacked.
+fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), ArchiveFault> {
+    let refuse = |reason: &str| Err(ArchiveFault::of(name, reason));
     if entry.encrypted() {
         return refuse("encrypted");
     }
@@ -239,32 +321,30 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
              nothing else is chosen"
         ));
     }
-    if entry.size() > MAX_FILE_BYTES {
-        return refuse("larger than a photograph can be");
-    }
     if entry.size() > RATIO_FREE_BYTES && entry.size() / MAX_RATIO > entry.compressed_size() {
         return refuse("shrunk more than a photograph can be");
-    }
-    if Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip")) {
-        return refuse("an archive inside the archive");
     }
     Ok(())
 }
 
-/// Whether an entry may be taken for a photograph, but is a video or of a format that is not read.
-fn is_unused(name: &str) -> bool {
+/// What an entry of this name is unpacked for; `None` for what is not used.
+fn role(name: &str) -> Option<Role> {
+    if name.split('/').any(is_hidden) {
+        return None;
+    }
     let path = Path::new(name);
-    !name.split('/').any(is_hidden)
-        && !named_like_a_photograph(path)
-        && (is_video(path) || Unread::named(path).is_some())
-}
-
-fn plays_a_role(name: &str) -> bool {
     let last = name.rsplit('/').next().unwrap_or(name);
-    !name.split('/').any(is_hidden)
-        && (named_like_a_photograph(Path::new(last))
-            || POSE_FILES.contains(&last.to_ascii_lowercase().as_str())
-            || hold(last).is_some())
+    Some(match () {
+        () if named_like_a_photograph(path) && Unread::named(path).is_some() => Role::Unread,
+        () if named_like_a_photograph(path) => Role::Photograph,
+        () if POSE_FILES.contains(&&*last.to_ascii_lowercase()) || hold(last).is_some() => {
+            Role::Known
+        }
+        // It may be taken for a photograph.
+        () if is_video(path) || Unread::named(path).is_some() => Role::Listed,
+        () if heads::are_told(name) => Role::Told,
+        () => return None,
+    })
 }
 
 fn unpack_all(
@@ -277,16 +357,17 @@ fn unpack_all(
     let mut entries = Vec::with_capacity(wanted.len());
     for (number, item) in wanted.into_iter().enumerate() {
         let file = own_file(target, &item.name, number, &mut folders)?;
-        let path = PhotoPath::new(&item.name);
-        if item.is_only_listed {
-            entries.push(Entry { path, file });
+        let entry = Entry::new(PhotoPath::new(&item.name), file.clone());
+        if !item.is_unpacked {
+            let too_large = (item.role != Role::Listed).then_some(item.size);
+            entries.push(Entry { too_large, ..entry });
             continue;
         }
         let mut source = archive
             .by_index(item.index)
             .map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
         unpack_one(&mut source, &item, &file)?;
-        entries.push(Entry { path, file });
+        entries.push(entry);
     }
     Ok(entries)
 }
@@ -302,7 +383,7 @@ fn own_file(
     let (folder, last) = name.rsplit_once('/').unwrap_or(("", name));
     let last = last.to_ascii_lowercase();
     if !POSE_FILES.contains(&last.as_str()) {
-        // Known from the list of photograph extensions: short, letters and digits.
+        // Known from a list of extensions: short, letters and digits.
         let extension = last.rsplit_once('.').map_or("", |(_, extension)| extension);
         return Ok(target.join(format!("{number:05}.{extension}")));
     }

@@ -58,7 +58,7 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         });
         match seen {
             Ok(seen) => {
-                let name = names.own(entry.path.stem());
+                let name = names.own(entry.name().stem());
                 assessed.accept(entry, &seen, name, typical);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
@@ -87,7 +87,7 @@ impl Assessed {
     fn accept(&mut self, entry: &Entry, seen: &Seen, name: String, typical_sharpness: f32) {
         let Header { width, height, focal_px, .. } = seen.header;
         self.assessments.push(Assessment {
-            name: entry.path.to_string(),
+            name: entry.name().to_string(),
             accepted: true,
             reason: None,
             unsupported_format: false,

@@ -1,7 +1,7 @@
 //! The files of a capture, by the path that the user knows them under.
 
 use std::cmp::Ordering;
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
@@ -21,6 +21,46 @@ pub(super) struct Entry {
     pub(super) path: PhotoPath,
     /// Where it lies.
     pub(super) file: PathBuf,
+    /// Its number among those of the same path, from 1: browsers of phones call all `image.jpg`.
+    pub(super) number: usize,
+    /// Its bytes, where a zip has a larger photograph than are read, which is not unpacked.
+    pub(super) too_large: Option<u64>,
+}
+
+impl Entry {
+    pub(super) fn new(path: PhotoPath, file: PathBuf) -> Self {
+        Self { path, file, number: 1, too_large: None }
+    }
+
+    /// What it is called where each file needs a name of its own.
+    pub(super) fn name(&self) -> PhotoPath {
+        match self.number {
+            1 => self.path.clone(),
+            number => numbered(&self.path, number),
+        }
+    }
+}
+
+/// `a/image-2.jpg` of `a/image.jpg`.
+fn numbered(path: &PhotoPath, number: usize) -> PhotoPath {
+    let stem = path.stem();
+    PhotoPath::new(&format!("{stem}-{number}{}", &path.as_str()[stem.len()..]))
+}
+
+/// Numbers the files of equal paths, in the order of the names under which they are stored.
+fn number(entries: &mut [Entry]) {
+    let stored = |entry: &Entry| (entry.file.as_os_str().len(), entry.file.clone());
+    entries.sort_by(|a, b| a.path.cmp(&b.path).then_with(|| stored(a).cmp(&stored(b))));
+    let mut taken: HashSet<PhotoPath> = entries.iter().map(|entry| entry.path.clone()).collect();
+    for at in 1..entries.len() {
+        let (before, rest) = entries.split_at_mut(at);
+        let (last, entry) = (&before[at - 1], &mut rest[0]);
+        if last.path == entry.path {
+            let mut numbers = last.number + 1..;
+            let is_free = |number: &usize| taken.insert(numbered(&entry.path, *number));
+            entry.number = numbers.find(is_free).expect("numbers do not end");
+        }
+    }
 }
 
 /// The file of a folder that tells what its owner calls the files in it, where it does not say so
@@ -37,12 +77,14 @@ pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => HashMap::new(),
         Err(error) => return Err(CaptureError::io(&root.join(NAMES))(error)),
     };
-    let entry = |(place, file): (String, PathBuf)| Entry {
-        path: { names.get(&place) }.map_or_else(|| PhotoPath::new(&place), Clone::clone),
-        file,
+    let entry = |(place, file): (String, PathBuf)| {
+        let path = { names.get(&place) }.map_or_else(|| PhotoPath::new(&place), Clone::clone);
+        Entry::new(path, file)
     };
     let is_seen = |entry: &Entry| !entry.path.as_str().split('/').any(is_hidden);
-    Ok(entries.into_iter().map(entry).filter(is_seen).collect())
+    let mut entries: Vec<Entry> = entries.into_iter().map(entry).filter(is_seen).collect();
+    number(&mut entries);
+    Ok(entries)
 }
 
 fn walk(

@@ -90,7 +90,9 @@ impl Layout {
         let mut others = entries.split_off(count);
         let mut pictures = entries;
         for entries in [&mut pictures, &mut others] {
-            entries.sort_by(|a, b| natural(a.path.as_str(), b.path.as_str()));
+            entries.sort_by(|a, b| {
+                natural(a.path.as_str(), b.path.as_str()).then(a.number.cmp(&b.number))
+            });
         }
         let hold = others.iter().find_map(|e| hold(e.path.as_str()));
         let unused: Vec<Entry> =

@@ -1,10 +1,11 @@
 //! What is seen in one photograph.
 
 use std::io::ErrorKind;
+use std::path::Path;
 
 use rayon::prelude::*;
 
-use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
+use crate::image::{Header, Image, ImageError, Srgb, Unread, read_header, srgb_to_linear};
 
 use super::budget::DecodeBudget;
 use super::entries::Entry;
@@ -51,7 +52,7 @@ impl Fault {
 
     pub(super) fn assessment(self, entry: &Entry) -> Assessment {
         Assessment {
-            name: entry.path.to_string(),
+            name: entry.name().to_string(),
             accepted: false,
             reason: Some(self.reason),
             unsupported_format: self.unsupported_format,
@@ -115,6 +116,10 @@ impl<'a> Eyes<'a> {
         let header = self.header(entry)?;
         let reject =
             |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
+        if let Some(bytes) = entry.too_large {
+            let unread = Unread::named(Path::new(entry.path.name())).map(ImageError::Unread);
+            return Err(unread.unwrap_or(ImageError::TooManyBytes { bytes }).into());
+        }
         if header.width.min(header.height) < SMALLEST_SIDE {
             return reject(format!(
                 "{} x {} px: each side must have at least {SMALLEST_SIDE}",
@@ -127,7 +132,7 @@ impl<'a> Eyes<'a> {
                 return Err(Fault { header: Some(header), ..Fault::from(error) });
             }
         };
-        (self.tell)(Look::Seen(entry.path.as_str(), &entry.file, &small));
+        (self.tell)(Look::Seen(entry.name().as_str(), &entry.file, &small));
         let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let v = small.pixels();
         let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
@@ -163,9 +168,10 @@ impl<'a> Eyes<'a> {
 
 /// Does the work on a photograph, and tells when it begins and ends.
 fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) -> T {
-    tell(Look::Begins(entry.path.as_str()));
+    let name = entry.name();
+    tell(Look::Begins(name.as_str()));
     let done = work();
-    tell(Look::Ended(entry.path.as_str()));
+    tell(Look::Ended(name.as_str()));
     done
 }
 

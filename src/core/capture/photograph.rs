@@ -28,7 +28,8 @@ pub struct CaptureView {
 /// What became of one file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assessment {
-    /// The path as uploaded, below the folder of the photographs.
+    /// The path as uploaded, below the folder of the photographs; numbered where others have it,
+    /// too.
     pub name: String,
     /// Whether it is used.
     pub accepted: bool,

@@ -258,6 +258,49 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
     assert_eq!(read(&stored), (["0.jpg", "1.jpg", "2.jpg"].map(str::to_owned).to_vec(), vec![]));
 }
 
+#[test]
+fn photographs_of_one_name_have_names_of_their_own() {
+    // As the service stores them where a phone calls all `image.jpg`.
+    let sent = ["image.jpg", "image.jpg", "image-2.jpg", "image.jpg"];
+    let stored = ["image.jpg", "image-2.jpg", "image-2-2.jpg", "image-3.jpg"];
+    let names: serde_json::Map<_, _> = { stored.iter().zip(sent) }
+        .map(|(stored, sent)| (format!("images/{stored}"), sent.into()))
+        .collect();
+    let mut files: Vec<(String, Vec<u8>)> = { stored.iter().enumerate() }
+        .map(|(i, stored)| (format!("images/{stored}"), jpeg(i)))
+        .collect();
+    files.push((NAMES.to_owned(), serde_json::to_vec(&names).expect("written")));
+    let home = folder(&files.iter().map(|(n, b)| (n.as_str(), b.clone())).collect::<Vec<_>>());
+    let seen = std::sync::Mutex::new(std::collections::BTreeMap::new());
+    let tell = |look: Look<'_>| {
+        if let Look::Seen(name, file, _) = look {
+            let file = file.file_name().expect("a name").to_string_lossy().into_owned();
+            let before = seen.lock().expect("unpoisoned").insert(name.to_owned(), file);
+            assert_eq!(before, None, "two are called {name}");
+        }
+    };
+    let watch = Watch { tell: &tell, ..Watch::nobody() };
+    let capture = Capture::open_watched(&home.path().join("capture"), home.path(), &watch);
+    let capture = capture.expect("a capture");
+    let names: Vec<&str> = capture.assessments.iter().map(|one| one.name.as_str()).collect();
+    assert_eq!(
+        names,
+        ["image-2.jpg", "image.jpg", "image-3.jpg", "image-4.jpg"],
+        "the second image.jpg is not taken for image-2.jpg"
+    );
+    let seen = seen.into_inner().expect("unpoisoned");
+    for (name, file) in [
+        ("image.jpg", "image.jpg"),
+        ("image-2.jpg", "image-2-2.jpg"),
+        ("image-3.jpg", "image-2.jpg"),
+        ("image-4.jpg", "image-3.jpg"),
+    ] {
+        assert_eq!(seen.get(name).map(String::as_str), Some(file), "{name}");
+    }
+    let views = view_names(names.into_iter());
+    assert!(capture.views.iter().map(|view| &view.name).eq(&views), "{views:?}");
+}
+
 /// What a run with these options leaves, in this folder.
 fn result(folder: &str) -> Vec<(String, Vec<u8>)> {
     let options = crate::pipeline::config::Options::default();

@@ -190,3 +190,56 @@ fn the_second_byte_of_a_character_divides_no_path() {
     let bytes = replace(&bytes, b"images/", b"images\\");
     assert_eq!(open_zip(&bytes).0.expect("a capture").views.len(), 3);
 }
+
+/// As if the entry of this name were so large unpacked, in the archive's directory.
+fn with_size(bytes: &[u8], name: &str, size: u32) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    let at = (0..bytes.len()).rfind(|&at| bytes[at..].starts_with(name.as_bytes()));
+    let head = at.expect("the entry") - 46;
+    assert!(bytes[head..].starts_with(b"PK\x01\x02"), "in the directory");
+    bytes[head + 24..head + 28].copy_from_slice(&size.to_le_bytes());
+    bytes
+}
+
+#[test]
+fn limits_hold_for_what_is_unpacked_and_the_rest_is_listed_or_passed_over() {
+    for (name, told) in [
+        ("images/walk.mov", Some("a video")),
+        ("images/walk.mkv", Some("Matroska")),
+        ("images/layers.psd", Some("Photoshop")),
+        ("images/0.dng", Some("camera raw")),
+        ("library.db", None),
+        ("images/points.csv", None),
+        ("model.json", None),
+    ] {
+        let bytes = zipped(&|writer| {
+            (0..3).for_each(|i| add(writer, &format!("images/{i}.jpg"), &jpeg(i)));
+            add(writer, name, b"0123456789");
+        });
+        // Nine of them are more than an archive may hold, too.
+        let (outcome, left) = open_zip(&with_size(&bytes, name, 900 << 20));
+        let capture = outcome.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!(capture.views.len(), 3, "{name}");
+        let reasons = capture.assessments.iter().filter_map(|one| one.reason.as_deref());
+        let reasons: Vec<&str> = reasons.collect();
+        assert_eq!(reasons.len(), usize::from(told.is_some()), "{name}: {reasons:?}");
+        assert!(told.is_none_or(|told| reasons[0].contains(told)), "{name}: {reasons:?}");
+        assert_eq!(left.len(), 1 + 3, "{name}: {left:?}");
+        let (outcome, _) = open_zip(&with_size(&bytes, "images/2.jpg", 900 << 20));
+        assert!(outcome.expect_err("a bomb").to_string().contains("shrunk"));
+    }
+}
+
+#[test]
+fn a_clip_that_is_not_unpacked_hides_no_bomb() {
+    let zeros = vec![0; 1 << 20];
+    let noise: Vec<u8> =
+        (0..4_u64 << 20).map(|i| (i.wrapping_mul(i * 2_654_435_761) >> 13) as u8).collect();
+    let bytes = zipped(&|writer| {
+        (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
+        add(writer, "walk.mov", &noise);
+        (0..80).for_each(|i| add(writer, &format!("zeros-{i}.jpg"), &zeros));
+    });
+    let error = open_zip(&bytes).0.expect_err("80 MiB in some 80 kB");
+    assert!(error.to_string().contains("together"), "{error}");
+}
