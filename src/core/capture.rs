@@ -16,6 +16,7 @@ mod look;
 mod photograph;
 mod place;
 mod pose_files;
+mod versions;
 pub mod video;
 mod watch;
 

@@ -27,6 +27,9 @@ use crate::poses::{
     LeftOut, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint, name_of,
 };
 
+/// Width and height, px.
+type Size = (usize, usize);
+
 /// Points that are guessed where poses came without points: as many as the smallest preset's cap.
 const GUESSED_POINTS: usize = 10_000;
 
@@ -129,6 +132,16 @@ impl GivenPoses {
     /// # Errors
     /// Those of [`Self::check`].
     pub fn names(&self) -> Result<Vec<PhotoPath>, PosesError> {
+        Ok(self.sizes()?.into_iter().map(|(name, _)| name).collect())
+    }
+
+    /// As [`Self::names`], with the size of the picture that the lens of each is for, px, where the
+    /// file tells it.
+    ///
+    /// # Errors
+    /// Those of [`Self::check`].
+    pub fn sizes(&self) -> Result<Vec<(PhotoPath, Option<Size>)>, PosesError> {
+        let size = |view: GivenView| view.lens.size();
         Ok(match self.read()?.0 {
             Assignment::ByPath(views) => {
                 views.into_iter().map(|(name, view)| (name, view.and_then(size))).collect()

@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::entries::Entry;
 use super::error::{CaptureError, MIN_VIEWS};
 use super::photograph::CaptureWarning;
+use super::versions::{self, Choice};
 use crate::photo_path::PhotoPath;
 
 /// Folders of ground truth.
@@ -154,8 +155,8 @@ pub(super) fn find(
         return Err(CaptureError::NoPhotographs {
             seen: places(&made),
             video: video.map(|entry| entry.path.to_string()),
-        });
             result: None,
+        });
     }
     let in_root = { candidates.iter() }.filter(|entry| entry.path.folder().is_empty()).count();
     let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();
@@ -181,6 +182,9 @@ pub(super) fn find(
             return Ok(chosen(&folder, candidates, is_inside));
         }
     }
+    if let Some(folder) = version(&candidates, poses)? {
+        return Ok(chosen(&folder, candidates, |entry| entry.path.folder() == folder));
+    }
     let are_copies = candidates.iter().any(is_copy);
     let are_spanned = are_spanned(&tops, poses);
     let is_one = tops.len() < 2 || !are_copies && (are_spanned || are_parts(&tops));
@@ -192,6 +196,24 @@ pub(super) fn find(
     let only = tops.first().filter(|_| tops.len() == 1 && in_root == 0);
     let folder = only.map_or_else(String::new, |top| (*top).to_owned());
     Ok(chosen(&folder, candidates, |entry| all || top(entry).is_some()))
+}
+
+/// The folder whose pictures are those of the poses, where others have versions of them.
+///
+/// # Errors
+/// [`CaptureError::Scattered`] where nothing tells which it is.
+fn version(candidates: &[Entry], poses: &[&Entry]) -> Result<Option<String>, CaptureError> {
+    let pictures: Vec<&Entry> = candidates.iter().filter(|entry| !is_copy(entry)).collect();
+    let folders = versions::of(&pictures);
+    let names = folders.iter().map(|folder| folder.rsplit('/').next().unwrap_or_default());
+    if folders.is_empty() || poses.is_empty() || are_parts(&names.collect()) {
+        return Ok(None);
+    }
+    match versions::choose(&folders, &pictures, poses) {
+        Choice::All => Ok(None),
+        Choice::One(folder) => Ok(Some(folder)),
+        Choice::Unknown => Err(scattered(candidates)),
+    }
 }
 
 fn is_images(folder: &str) -> bool {

@@ -6,6 +6,7 @@ use super::entries::Entry;
 use super::error::MIN_VIEWS;
 use super::layout::{GivenPosesFile, POSE_FILES};
 use super::photograph::CaptureWarning;
+use super::versions::is_undistorted;
 use crate::dataset::GivenPoses;
 use crate::photo_path::PhotoPath;
 
@@ -87,7 +88,10 @@ pub(super) fn find(
             warnings.extend(unused(entries, &sets, &counts));
             return None;
         }
-        let first = counts.iter().position(|count| *count == most).unwrap_or(0);
+        // Of poses before and after undistortion those of these photographs.
+        let is_alike = |at: &usize| is_undistorted(&sets[*at].name) == is_undistorted(folder);
+        let firsts = || (0..sets.len()).filter(|at| counts[*at] == most);
+        let first = firsts().find(is_alike).or_else(|| firsts().next()).unwrap_or(0);
         let which = match sets.len() {
             1 => String::new(),
             count => format!(", one of {count} sets"),

@@ -353,6 +353,87 @@ fn results_of_fled_are_no_part_of_a_capture() {
     assert_eq!(read(&own).0.len(), 3);
 }
 
+/// A `transforms.json` of photographs of these names, for pictures of 96 px and this height.
+fn transforms(names: &[&str], height: usize) -> Vec<u8> {
+    let one = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+    let frame = |name| serde_json::json!({ "file_path": name, "transform_matrix": one });
+    let frames: Vec<_> = names.iter().map(frame).collect();
+    let file = serde_json::json!({ "w": 96, "h": height, "fl_x": 80, "frames": frames });
+    file.to_string().into_bytes()
+}
+
+#[test]
+fn of_two_versions_of_one_set_that_of_the_poses_is_read_and_the_other_named() {
+    let names = ["0.jpg", "1.jpg", "2.jpg"];
+    let set = |folder: &str, seed: usize, height: usize| -> Vec<(String, Vec<u8>)> {
+        let picture = |at| picture(seed + at, 96, height).encode(EncodeFormat::Jpeg(90));
+        let one = |(at, name): (usize, &str)| {
+            (PhotoPath::new(name).inside(folder).to_string(), picture(at).expect("encoded"))
+        };
+        names.into_iter().enumerate().map(one).collect()
+    };
+    let (plain, undistorted) = ("resized_images", "resized_undistorted_images");
+    let json = |path: &str, height| (path.to_owned(), transforms(&names, height));
+    let colmap = || {
+        let files = model(names.iter().enumerate().map(|(at, name)| (at, (*name).to_owned())));
+        files.into_iter().map(|(n, b)| (n.replace("sparse/0", "colmap"), b)).collect::<Vec<_>>()
+    };
+    let both_poses =
+        || vec![json("nerf/transforms.json", 64), json("nerf/transforms_undistorted.json", 64)];
+    let cases = [
+        // As ScanNet++ has them; the folder of the whole scene around it changes nothing.
+        (plain, undistorted, 64, [colmap(), both_poses()].concat(), plain, "colmap"),
+        (plain, undistorted, 64, both_poses(), plain, "nerf/transforms.json"),
+        (plain, undistorted, 64, both_poses().split_off(1), undistorted, "undistorted.json"),
+        // The sizes tell.
+        ("before", "after", 80, vec![json("poses/a.json", 64)], "before", "poses/a.json"),
+        ("before", "after", 80, vec![json("poses/a.json", 80)], "after", "poses/a.json"),
+        // The names tell.
+        ("", "edited", 64, colmap(), "", "colmap"),
+    ];
+    for (first, second, height, poses, taken, told) in cases {
+        for around in ["", "scene/", "data/scene/"] {
+            let mut files = [set(first, 0, 64), set(second, 20, height), poses.clone()].concat();
+            files.iter_mut().for_each(|file| file.0.insert_str(0, around));
+            if around.starts_with("data") {
+                files.push(("data/scan/notes.pdf".to_owned(), b"%PDF".to_vec()));
+                files.push(("data/scan/walk.mov".to_owned(), b"a video".to_vec()));
+            }
+            both(&files, |opened| {
+                let capture = opened.expect("a capture");
+                assert_eq!(capture.views.len(), 3, "{first} {second} {told} in {around}");
+                let expected = if taken == first { 0 } else { 20 };
+                for (at, view) in capture.views.iter().enumerate() {
+                    let height = if expected == 0 { 64 } else { height };
+                    let right = picture(expected + at, 96, height).encode(EncodeFormat::Jpeg(90));
+                    let bytes = fs::read(&view.file).expect("read");
+                    assert!(right.expect("encoded") == bytes, "{taken} of {first} and {second}");
+                }
+                let has = |code: &str, words: &str| {
+                    let mut all = capture.warnings.iter();
+                    all.any(|w| w.code == code && w.message.contains(words))
+                };
+                let other = if taken == first { second } else { first };
+                assert!(has("elsewhere", other), "{other}: {:?}", capture.warnings);
+                assert!(has("models", told), "{told}: {:?}", capture.warnings);
+            });
+        }
+    }
+}
+
+#[test]
+fn folders_of_the_same_names_that_poses_name_are_parts_and_others_are_refused() {
+    let names = ["a/0.jpg", "a/1.jpg", "a/2.jpg", "b/0.jpg", "b/1.jpg", "b/2.jpg"];
+    let mut files = photographs(&names);
+    files.push(("transforms.json".to_owned(), transforms(&names, 64)));
+    both(&files, |opened| assert_eq!(opened.expect("a capture").views.len(), 6));
+    files[6].1 = transforms(&["0.jpg", "1.jpg", "2.jpg"], 64);
+    both(&files, |opened| {
+        let error = opened.expect_err("two sets").to_string();
+        assert!(error.contains("a/ (3 pictures) and b/ (3 pictures)"), "{error}");
+    });
+}
+
 #[test]
 fn files_like_photographs_are_listed_with_what_to_do() {
     let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);
