@@ -16,6 +16,7 @@ mod look;
 mod photograph;
 mod place;
 mod pose_files;
+mod twins;
 mod versions;
 pub mod video;
 mod watch;
@@ -98,7 +99,7 @@ impl Capture {
         }
         Ok(Self {
             views: assessed.views,
-            photographs: layout.photographs.into_iter().map(|entry| entry.path).collect(),
+            photographs: assessed.photographs,
             assessments: assessed.assessments,
             warnings: assessed.warnings,
             poses: layout.poses,

@@ -10,6 +10,8 @@ use super::entries::Entry;
 use super::layout::Layout;
 use super::look::{Eyes, Fault, Seen};
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
+use super::pose_files;
+use super::twins;
 use super::watch::Watch;
 
 /// Below this many a capture is accepted with a warning.
@@ -24,6 +26,8 @@ const LONGEST_NAME: usize = 40;
 /// The outcome for the whole capture.
 pub(super) struct Assessed {
     pub(super) views: Vec<CaptureView>,
+    /// Those of the capture but for second files of one exposure: their poses are those of the first.
+    pub(super) photographs: Vec<PhotoPath>,
     pub(super) assessments: Vec<Assessment>,
     pub(super) warnings: Vec<CaptureWarning>,
 }
@@ -34,27 +38,25 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     let eyes = Eyes::open(watch, layout.photographs.iter().chain(truths));
     let seen = eyes.look_at_all(&layout.photographs);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
-    let mut assessed =
-        Assessed { views: Vec::new(), assessments: Vec::new(), warnings: layout.warnings.clone() };
-    // Of equal pictures the one of the shortest path: copies are called `a (1)` and `a copy`.
-    let mut originals: HashMap<[u8; 32], &Entry> = HashMap::new();
-    let length = |entry: &Entry| entry.path.as_str().len();
-    for (entry, seen) in layout.photographs.iter().zip(&seen) {
-        if let Ok(Seen { picture, .. }) = seen {
-            let original = originals.entry(*picture).or_insert(entry);
-            if length(entry) < length(original) {
-                *original = entry;
-            }
-        }
-    }
+    let mut assessed = Assessed {
+        views: Vec::new(),
+        photographs: Vec::new(),
+        assessments: Vec::new(),
+        warnings: layout.warnings.clone(),
+    };
+    let copies = copies(layout, &seen);
+    let twins = twins(layout, &seen, &copies);
     let mut names = Names::default();
-    for (entry, seen) in layout.photographs.iter().zip(seen) {
-        let seen = seen.and_then(|seen| {
-            let original = originals[&seen.picture];
-            if original.file != entry.file {
-                return Err(Fault::of(format!("the same picture as {}", original.path)));
-            }
-            Ok(seen)
+    for (at, (entry, seen)) in layout.photographs.iter().zip(seen).enumerate() {
+        let called = |at: &usize| layout.photographs[*at].name();
+        let twin = twins.get(&at).map(called);
+        if twin.is_none() {
+            assessed.photographs.push(entry.path.clone());
+        }
+        let seen = seen.and_then(|seen| match (copies.get(&at).map(called), twin) {
+            (Some(original), _) => Err(Fault::of(format!("the same picture as {original}"))),
+            (None, Some(twin)) => Err(Fault::of(format!("the same exposure as {twin}"))),
+            (None, None) => Ok(seen),
         });
         match seen {
             Ok(seen) => {
@@ -76,6 +78,35 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
     assessed
+}
+
+/// The photographs whose picture another one has, too, with that one: of equal pictures the one of
+/// the shortest path is kept, as copies are called `a (1)` and `a copy`.
+fn copies(layout: &Layout, seen: &[Result<Seen, Fault>]) -> HashMap<usize, usize> {
+    let length = |at: usize| layout.photographs[at].name().as_str().len();
+    let mut originals: HashMap<[u8; 32], usize> = HashMap::new();
+    let pictures = seen.iter().enumerate();
+    let pictures = pictures.filter_map(|(at, seen)| Some((at, seen.as_ref().ok()?.picture)));
+    for (at, picture) in pictures.clone() {
+        let original = originals.entry(picture).or_insert(at);
+        if length(at) < length(*original) {
+            *original = at;
+        }
+    }
+    let copies = pictures.map(|(at, picture)| (at, originals[&picture]));
+    copies.filter(|(at, original)| at != original).collect()
+}
+
+/// The second files of exposures, each with the one that is used.
+fn twins(
+    layout: &Layout,
+    seen: &[Result<Seen, Fault>],
+    copies: &HashMap<usize, usize>,
+) -> HashMap<usize, usize> {
+    let seen = seen.iter().enumerate();
+    let seen = seen.map(|(at, seen)| seen.as_ref().ok().filter(|_| !copies.contains_key(&at)));
+    let named = pose_files::names_in(layout.poses.as_ref());
+    twins::of(&layout.photographs, &seen.collect::<Vec<_>>(), &named)
 }
 
 fn median(mut values: Vec<f32>) -> f32 {

@@ -101,14 +101,14 @@ impl Layout {
         let has_low_and_high = place::part_low_light(&mut pictures);
         let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
             .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
-        let Place { folder, photographs, others: elsewhere, warning } =
-            place.named_by(&pose_files::names(&named_poses));
         let place = place_of(pictures, &named_poses, &unused).map_err(|error| match error {
             CaptureError::NoPhotographs { seen, video, .. } => {
                 CaptureError::NoPhotographs { seen, video, result }
             }
             error => error,
         })?;
+        let Place { folder, photographs, others: elsewhere, warning } =
+            place.named_by(&pose_files::names(&named_poses));
         let mut warnings = Vec::from_iter(warning);
         let truth = beside_photographs(truth, &photographs, &folder);
         let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
@@ -171,8 +171,6 @@ pub(super) fn hold(path: &str) -> Option<u32> {
     (number >= 2).then_some(number)
 }
 
-/// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
-/// without one where its bytes are a picture's.
 /// A capture's files without those of results of fled, which may lie among them.
 struct Beside {
     pictures: Vec<Entry>,
@@ -235,6 +233,8 @@ fn names_photographs(entry: &Entry) -> bool {
     !is_other && !entry.path.name().eq_ignore_ascii_case("poses_bounds.npy")
 }
 
+/// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
+/// without one where its bytes are a picture's.
 fn claims_to_be_a_photograph(entry: &Entry) -> bool {
     let path = Path::new(entry.path.name());
     named_like_a_photograph(path)

@@ -10,6 +10,7 @@ use crate::image::{Header, Image, ImageError, Srgb, Unread, read_header, srgb_to
 use super::budget::DecodeBudget;
 use super::entries::Entry;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
+use super::twins::Print;
 use super::watch::{Look, Watch};
 
 /// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
@@ -32,6 +33,8 @@ pub(super) struct Seen {
     pub(super) header: Header,
     /// blake3 of the small picture: equal pictures are equal whatever wraps them.
     pub(super) picture: [u8; 32],
+    /// The same to compare with others.
+    pub(super) print: Print,
     /// Mean V, sRGB, 0 to 1.
     pub(super) mean_v: f32,
     /// Gradient energy relative to brightness: comparable within one capture only.
@@ -113,13 +116,13 @@ impl<'a> Eyes<'a> {
     }
 
     fn look_at(&self, entry: &Entry) -> Result<Seen, Fault> {
-        let header = self.header(entry)?;
-        let reject =
-            |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
         if let Some(bytes) = entry.too_large {
             let unread = Unread::named(Path::new(entry.path.name())).map(ImageError::Unread);
             return Err(unread.unwrap_or(ImageError::TooManyBytes { bytes }).into());
         }
+        let header = self.header(entry)?;
+        let reject =
+            |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
         if header.width.min(header.height) < SMALLEST_SIDE {
             return reject(format!(
                 "{} x {} px: each side must have at least {SMALLEST_SIDE}",
@@ -143,7 +146,8 @@ impl<'a> Eyes<'a> {
             return reject(format!("nothing is seen: the whole picture is {colour}"));
         }
         let sharpness = sharpness(&small);
-        Ok(Seen { header, picture: *blake3::hash(&bytes).as_bytes(), mean_v, sharpness })
+        let (picture, print) = (*blake3::hash(&bytes).as_bytes(), Print::of(&small));
+        Ok(Seen { header, picture, print, mean_v, sharpness })
     }
 
     /// Which views have ground truth among `find`'s, and whether it has a view's proportions,

@@ -47,8 +47,8 @@ struct Set {
 }
 
 /// The names of photographs in NeRF's files of poses, seen from the capture: they have folders.
-pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
 /// Copies of these files under names of their users' count where there are no others.
+pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
     let json = { entries.iter() }.filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json"));
     let (known, others): (Vec<&Entry>, Vec<&Entry>) =
         json.copied().partition(|e| has_known_name(e));
@@ -121,10 +121,6 @@ impl Set {
     }
 }
 
-/// How many photographs have one of these poses; `None` where they cannot be read.
-fn posed(set: &Set, photographs: &[Entry]) -> Option<usize> {
-    let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
-    let given = GivenPoses::open(set.given.path(), &photographs);
 /// The names of photographs in the poses that are used; none where they cannot be read.
 pub(super) fn names_in(given: Option<&GivenPosesFile>) -> Vec<PhotoPath> {
     let names = given.map(|given| GivenPoses::open(given.path(), &[]).and_then(|it| it.names()));
@@ -136,6 +132,10 @@ fn has_known_name(entry: &Entry) -> bool {
     POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase())
 }
 
+/// How many photographs have one of these poses; `None` where they cannot be read.
+fn posed(set: &Set, photographs: &[Entry]) -> Option<usize> {
+    let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
+    let given = GivenPoses::open(set.given.path(), &photographs);
     given.and_then(|given| given.check()).ok()
 }
 
@@ -185,10 +185,6 @@ fn anywhere(entries: &[Entry]) -> Vec<Set> {
     sets.collect()
 }
 
-/// The files of poses of NeRF and LLFF in a folder.
-fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
-    let at = |name: &str| {
-        let path = PhotoPath::new(name).inside(folder);
 /// NeRF's files of poses in a folder under names of their users'.
 fn renamed_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let is_json = |e: &Entry| e.path.name().to_ascii_lowercase().ends_with(".json");
@@ -202,6 +198,10 @@ fn renamed_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     renamed.map(set).collect()
 }
 
+/// The files of poses of NeRF and LLFF in a folder.
+fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
+    let at = |name: &str| {
+        let path = PhotoPath::new(name).inside(folder);
         let mut all = entries.iter();
         all.find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str())).cloned()
     };

@@ -435,6 +435,40 @@ fn folders_of_the_same_names_that_poses_name_are_parts_and_others_are_refused() 
 }
 
 #[test]
+fn of_two_files_of_one_exposure_one_is_used() {
+    let png = |seed: usize| picture(seed, 96, 64).encode(EncodeFormat::Png).expect("encoded");
+    let own = [("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2)), ("3.jpg", jpeg(3))];
+    let open = |more: &[(&str, Vec<u8>)]| {
+        let home = folder(&[&own[..], more].concat());
+        let capture = Capture::open(&home.path().join("capture"), home.path());
+        let capture = capture.expect("a capture");
+        let used: Vec<&str> = capture.views.iter().map(|view| view.path.as_str()).collect();
+        (used.join(" "), capture, home)
+    };
+    // The file that keeps more, or the one that the poses name.
+    let (used, capture, _) = open(&[("0.PNG", png(0)), ("1.png", png(1))]);
+    assert_eq!(used, "0.PNG 1.png 2.jpg 3.jpg");
+    let told = capture.assessments.iter().find(|one| one.name == "0.jpg").expect("listed");
+    assert_eq!(told.reason.as_deref(), Some("the same exposure as 0.PNG"));
+    let poses = ("transforms.json", transforms(&["0.jpg", "1.png", "2.jpg", "3.jpg"], 64));
+    let (used, ..) = open(&[("0.png", png(0)), ("1.png", png(1)), poses]);
+    assert_eq!(used, "0.jpg 1.png 2.jpg 3.jpg");
+    // Names without extensions mean the exposure.
+    let poses = ("transforms.json", transforms(&["0", "1", "2", "3"], 64));
+    let (used, capture, _home) = open(&[("0.png", png(0)), ("1.png", png(1)), poses]);
+    assert_eq!(used, "0.png 1.png 2.jpg 3.jpg");
+    assert_eq!(given(&capture).expect("poses").views.len(), 4);
+    // Under another name or in another folder it is the same picture.
+    let smooth = patches(1, 160, 0.6).resize_area(12, 12).resize_bilinear(160, 160);
+    let saved = |format| smooth.encode(format).expect("encoded");
+    let twins = [("4.jpg", saved(EncodeFormat::Jpeg(90))), ("a.png", saved(EncodeFormat::Png))];
+    assert_eq!(open(&twins).0, "0.jpg 1.jpg 2.jpg 3.jpg a.png");
+    // Photographs that share a name only.
+    let (used, ..) = open(&[("0.png", png(10)), ("1.png", png(11))]);
+    assert_eq!(used, "0.jpg 0.png 1.jpg 1.png 2.jpg 3.jpg");
+}
+
+#[test]
 fn files_like_photographs_are_listed_with_what_to_do() {
     let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);
     let capture = home.path().join("capture");

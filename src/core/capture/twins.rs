@@ -1,0 +1,113 @@
+//! Two files of one exposure: phones and cameras write a JPEG beside a HEIC, TIFF or developed raw
+//! file. If both were used, one would train what the other is held out to measure.
+
+use std::collections::{HashMap, HashSet};
+
+use super::entries::Entry;
+use super::look::Seen;
+use crate::image::{Image, Srgb};
+use crate::photo_path::PhotoPath;
+
+/// Side of the pictures that are compared, px: noise and what compression adds average out.
+const SIDE: usize = 24;
+
+/// Least correlation of twins with one name. They may be developed differently; photographs of
+/// different things, or of one from elsewhere, are far below.
+const ALIKE: f32 = 0.9;
+
+/// Least correlation of twins with different names, whose brightness is the same, too: what saving a
+/// picture in another format leaves.
+const EQUAL: f32 = 0.9995;
+
+/// Most that the mean brightness of such twins differs, as a share.
+const EQUAL_BRIGHTNESS: f32 = 0.02;
+
+/// Extensions by how much of the exposure their files keep, the most first; others are JPEG.
+const KEEPING: [&[&str]; 4] =
+    [&["tif", "tiff", "btf"], &["heic", "heif", "hif"], &["png"], &["webp"]];
+
+/// A picture for comparison: luma of zero mean and unit length.
+pub(super) struct Print(Vec<f32>);
+
+impl Print {
+    pub(super) fn of(picture: &Image<Srgb>) -> Self {
+        let luma = picture.resize_area(SIDE, SIDE).luma();
+        let mean = luma.iter().sum::<f32>() / luma.len() as f32;
+        let length = luma.iter().map(|v| (v - mean).powi(2)).sum::<f32>().sqrt().max(1e-9);
+        Self(luma.into_iter().map(|v| (v - mean) / length).collect())
+    }
+
+    fn correlation(&self, other: &Self) -> f32 {
+        self.0.iter().zip(&other.0).map(|(a, b)| a * b).sum()
+    }
+}
+
+/// A photograph that may have twins.
+struct One<'a> {
+    entry: &'a Entry,
+    seen: &'a Seen,
+    /// Its path without an extension, in lower case.
+    stem: String,
+    /// Place of its format in [`KEEPING`].
+    format: usize,
+}
+
+/// The photographs that are not used, by the index of each, with the index of the twin that is. One
+/// that `named` poses call by its name is preferred, then the larger, then the one whose format
+/// keeps more.
+pub(super) fn of(
+    photographs: &[Entry],
+    seen: &[Option<&Seen>],
+    named: &[PhotoPath],
+) -> HashMap<usize, usize> {
+    let all = photographs.iter().zip(seen);
+    let all: Vec<Option<One<'_>>> =
+        all.map(|(entry, seen)| Some(One::new(entry, (*seen)?))).collect();
+    let mut order: Vec<usize> = (0..all.len()).filter(|&at| all[at].is_some()).collect();
+    let of = |at: usize| all[at].as_ref().expect("only those that are seen");
+    let names: HashSet<&str> = named.iter().map(PhotoPath::name).collect();
+    let rank = |one: &One<'_>| {
+        let is_named = names.contains(one.entry.path.name());
+        let pixels = one.seen.header.width * one.seen.header.height;
+        (!is_named, usize::MAX - pixels, one.format)
+    };
+    order.sort_by_cached_key(|&at| rank(of(at)));
+    let mut used: Vec<usize> = Vec::new();
+    let mut twins = HashMap::new();
+    for at in order {
+        match used.iter().find(|&&other| of(other).is_twin_of(of(at))) {
+            Some(&other) => drop(twins.insert(at, other)),
+            None => used.push(at),
+        }
+    }
+    twins
+}
+
+impl<'a> One<'a> {
+    fn new(entry: &'a Entry, seen: &'a Seen) -> Self {
+        let name = entry.path.name().to_lowercase();
+        let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+        let format = KEEPING.iter().position(|known| known.contains(&extension));
+        let stem = entry.path.stem().to_lowercase();
+        Self { entry, seen, stem, format: format.unwrap_or(KEEPING.len()) }
+    }
+
+    fn is_twin_of(&self, other: &Self) -> bool {
+        if self.format == other.format {
+            return false;
+        }
+        let [own, its] = [self, other].map(|one| &one.seen.header);
+        let ratio = (own.width * its.height) as f64 / (own.height * its.width) as f64;
+        if (ratio - 1.0).abs() > 0.01 {
+            return false;
+        }
+        let [bright, dark] = [self.seen.mean_v, other.seen.mean_v];
+        let is_equal = (bright - dark).abs() <= EQUAL_BRIGHTNESS * bright.max(dark);
+        let least = match self.stem == other.stem {
+            true => ALIKE,
+            false if is_equal => EQUAL,
+            false => return false,
+        };
+        self.seen.print.correlation(&other.seen.print) >= least
+    }
+}
