@@ -13,6 +13,8 @@ mod error;
 mod heads;
 mod layout;
 mod look;
+mod masked;
+mod masks;
 mod photograph;
 mod place;
 mod pose_files;
@@ -32,6 +34,7 @@ pub use budget::DecodeBudget;
 pub use entries::NAMES;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;
+pub use masks::masks_in;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
 pub use watch::{Look, Watch};
 

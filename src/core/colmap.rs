@@ -8,6 +8,7 @@
 mod candidate;
 mod consistency;
 mod copies;
+mod exposure;
 mod files;
 mod groups;
 mod learned;
@@ -26,7 +27,7 @@ use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
-pub(crate) use copies::brightened;
+pub(crate) use exposure::brightened;
 pub use process::Limits;
 pub use strategies::Acceptance;
 

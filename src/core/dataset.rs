@@ -9,6 +9,8 @@ mod read;
 mod transforms;
 mod upright;
 
+pub(crate) use transforms::masks as masks_of_transforms;
+
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;

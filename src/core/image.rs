@@ -14,6 +14,7 @@ mod transfer;
 use std::marker::PhantomData;
 
 pub use ::image::metadata::Orientation;
+pub(crate) use decode::shares;
 pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};
 #[cfg(test)]

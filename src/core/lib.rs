@@ -25,6 +25,7 @@ mod group;
 pub mod image;
 pub mod inference;
 mod linear;
+pub mod mask;
 pub mod metrics;
 pub mod noise;
 pub mod photo_path;

@@ -9,6 +9,7 @@ mod correlation;
 mod noise;
 mod psnr;
 pub mod report;
+mod scores;
 mod ssim;
 
 #[cfg(test)]
@@ -20,6 +21,7 @@ pub use psnr::{ColourFit, decibels, noise_ceiling, psnr, psnr_colour_corrected};
 pub use report::{
     Brightness, CaptureShake, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore,
 };
+pub use scores::Scores;
 pub use ssim::{ssim, ssim_where};
 
 use crate::image::Image;

@@ -25,6 +25,7 @@ use crate::camera::normalisation::Normalisation;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::event::ProgressSink;
 use crate::image::Image;
+use crate::mask::Masking;
 use crate::photo_path::PhotoPath;
 pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
@@ -71,6 +72,8 @@ pub struct PoseView {
     pub file: PathBuf,
     /// Focal length in px of the original photograph, where its metadata tell.
     pub focal_px: Option<f64>,
+    /// What masks it.
+    pub masking: Option<Masking>,
 }
 
 /// The answer. As JSON it is the stage's stored result.
@@ -91,7 +94,7 @@ pub struct Poses {
     pub source: String,
     /// The fallback strategy that was taken: learned matches of all pairs (`L`, by a loose mapper
     /// `M`), of the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features
-    /// (`A`..=`E`); or all of it on deblurred photographs (`F`). `None` for given poses.
+    /// (`A`..=`E`, and `G` on the plain photographs); or all of it on deblurred photographs (`F`). `None` for given poses.
     #[serde(rename = "rung")]
     pub strategy: Option<char>,
     /// What is said about the place of every view asked for; empty where the poses were given.

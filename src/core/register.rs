@@ -6,11 +6,14 @@
 //! a camera to about a third of a pixel; the scene is then the mean of views that do not quite
 //! agree, and no sharper.
 
+use std::borrow::Cow;
+
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
 use crate::camera::Camera;
 use crate::image::Image;
 use crate::linear::solve;
+use crate::mask::Mask;
 
 /// Distance by which a probe moves the image, px.
 const PROBE_PX: f64 = 0.25;
@@ -58,19 +61,20 @@ pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
 }
 
 /// The motion that aligns `render` with `photograph` to first order, given `probed`, the renders
-/// after each of the camera's [`probes`]. All have one size. `None` if the images do not determine
-/// it.
+/// after each of the camera's [`probes`]. All have one size. Pixels that are not `kept` do not
+/// count. `None` if the images do not determine it.
 pub fn correction(
     photograph: &Image,
     render: &Image,
     probed: &[Image; 6],
     probes: &[[f64; 6]; 6],
+    kept: Option<&Mask>,
 ) -> Option<[f64; 6]> {
     let (width, height) = (render.width(), render.height());
     if width.min(height) <= 4 * BORDER {
         return None;
     }
-    let bend = BEND * middle_difference(photograph, render)?;
+    let bend = BEND * middle_difference(photograph, render, kept)?;
     let mut curvature = [[0.0_f64; 6]; 6];
     let mut slope = [0.0_f64; 6];
     for channel in 0..3 {
@@ -78,6 +82,9 @@ pub fn correction(
             let from = (channel * height + y) * width;
             let (mut row_curvature, mut row_slope) = ([[0.0_f32; 6]; 6], [0.0_f32; 6]);
             for at in from + BORDER..from + width - BORDER {
+                if kept.is_some_and(|kept| !kept.holds(at - from, y)) {
+                    continue;
+                }
                 let now = render.data()[at];
                 let missing = photograph.data()[at] - now;
                 let weight = if missing.abs() <= bend { 1.0 } else { bend / missing.abs() };
@@ -107,11 +114,11 @@ pub fn correction(
     }))
 }
 
-/// The mean absolute difference of two images without the border.
-pub fn difference(photograph: &Image, render: &Image) -> f64 {
+/// The mean absolute difference of two images without the border and pixels that are not `kept`.
+pub fn difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
-    for (a, b) in rows_within(photograph).zip(rows_within(render)) {
-        sum = a.iter().zip(b).fold(sum, |sum, (a, b)| sum + f64::from((a - b).abs()));
+    for (a, b) in rows_within(photograph, kept).zip(rows_within(render, kept)) {
+        sum = a.iter().zip(&*b).fold(sum, |sum, (a, b)| sum + f64::from((a - b).abs()));
         count += a.len();
     }
     sum / count.max(1) as f64
@@ -119,23 +126,37 @@ pub fn difference(photograph: &Image, render: &Image) -> f64 {
 
 /// Standard deviation of the differences, estimated from the median of every seventh; `None` if it
 /// is 0 or not finite.
-fn middle_difference(photograph: &Image, render: &Image) -> Option<f32> {
-    let rows = rows_within(photograph).zip(rows_within(render));
-    let all = rows.flat_map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b).abs()));
-    let mut some: Vec<f32> = all.step_by(7).collect();
+fn middle_difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> Option<f32> {
+    let rows = rows_within(photograph, kept).zip(rows_within(render, kept));
+    let apart = |(a, b): (Cow<'_, [f32]>, Cow<'_, [f32]>)| -> Vec<f32> {
+        a.iter().zip(&*b).map(|(a, b)| (a - b).abs()).collect()
+    };
+    let mut some: Vec<f32> = rows.flat_map(apart).step_by(7).collect();
+    if some.is_empty() {
+        return None;
+    }
     let middle = some.len() / 2;
     let (_, median, _) = some.select_nth_unstable_by(middle, f32::total_cmp);
     let deviation = 1.4826 * *median;
     (deviation.is_finite() && deviation > 0.0).then_some(deviation)
 }
 
-/// The rows of all channels within the border.
-fn rows_within(image: &Image) -> impl Iterator<Item = &[f32]> {
+/// The rows of all channels within the border, without pixels that are not `kept`.
+fn rows_within<'a>(
+    image: &'a Image,
+    kept: Option<&'a Mask>,
+) -> impl Iterator<Item = Cow<'a, [f32]>> {
     let (width, height) = (image.width(), image.height());
     let rows = image.data().chunks_exact(width.max(1)).enumerate();
     let inside = move |y: usize| (BORDER..height.saturating_sub(BORDER)).contains(&y);
-    rows.filter(move |(row, _)| inside(row % height))
-        .map(move |(_, row)| row.get(BORDER..width.saturating_sub(BORDER)).unwrap_or(&[]))
+    rows.filter(move |(row, _)| inside(row % height)).map(move |(at, row)| {
+        let row = row.get(BORDER..width.saturating_sub(BORDER)).unwrap_or(&[]);
+        let Some(kept) = kept else {
+            return row.into();
+        };
+        let holds = |x: &usize| kept.holds(x + BORDER, at % height);
+        (0..row.len()).filter(holds).map(|x| row[x]).collect()
+    })
 }
 
 /// Removes from `motions` the part common to all cameras: a rotation, a translation and a scale of

@@ -28,7 +28,8 @@ pub struct Args {
     /// Folder for the verdict [default: evaluation/ in the run's folder].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Folder of PNG masks named like the test views; only white areas are scored.
+    /// Folder of masks named like the test views, as those of a capture; black areas are not
+    /// scored.
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
     /// Tests only photographs that lie between two training views in name order.

@@ -25,6 +25,7 @@ use fled_gpu::Gpu;
 use fled_core::camera::Camera;
 use fled_core::cancel::CancelToken;
 use fled_core::image::Image;
+use fled_core::mask::Mask;
 use fled_core::metrics;
 use fled_core::reconstruct::{Registration, TrainingView};
 use fled_core::render::{Renderer, UploadedGaussians};
@@ -36,7 +37,7 @@ pub use subject::Subject;
 pub use truth::Truth;
 
 use report::{Evaluation, TestView, ViewScores};
-use seen::{Mask, Witnesses};
+use seen::Witnesses;
 use truth::{Placed, TruthView};
 
 /// Largest movement of a camera at which registration stops, px.
@@ -186,6 +187,7 @@ fn register(
                 name: view.name.clone(),
                 camera: *camera,
                 image: fit.apply(&view.photograph),
+                mask: None,
                 has_kernel: false,
             });
         }

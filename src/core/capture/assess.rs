@@ -9,6 +9,7 @@ use crate::photo_path::PhotoPath;
 use super::entries::Entry;
 use super::layout::Layout;
 use super::look::{Eyes, Fault, Seen};
+use super::masked;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::pose_files;
 use super::twins;
@@ -35,8 +36,10 @@ pub(super) struct Assessed {
 /// Assesses every photograph, then the capture.
 pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     let truths = layout.ground_truth.values();
-    let eyes = Eyes::open(watch, layout.photographs.iter().chain(truths));
+    let others = truths.chain(layout.masks.entries());
+    let eyes = Eyes::open(watch, layout.photographs.iter().chain(others));
     let seen = eyes.look_at_all(&layout.photographs);
+    let masked = masked::look_at_masks(&layout.photographs, &seen, &layout.masks, &eyes);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
     let mut assessed = Assessed {
         views: Vec::new(),
@@ -48,6 +51,7 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     let twins = twins(layout, &seen, &copies);
     let mut names = Names::default();
     for (at, (entry, seen)) in layout.photographs.iter().zip(seen).enumerate() {
+        let masked = &masked[at];
         let called = |at: &usize| layout.photographs[*at].name();
         let twin = twins.get(&at).map(called);
         if twin.is_none() {
@@ -56,12 +60,14 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         let seen = seen.and_then(|seen| match (copies.get(&at).map(called), twin) {
             (Some(original), _) => Err(Fault::of(format!("the same picture as {original}"))),
             (None, Some(twin)) => Err(Fault::of(format!("the same exposure as {twin}"))),
-            (None, None) => Ok(seen),
+            (None, None) => masked.fault().map_or(Ok(seen), Err),
         });
         match seen {
             Ok(seen) => {
                 let name = names.own(entry.name().stem());
                 assessed.accept(entry, &seen, name, typical);
+                let view = assessed.views.last_mut().expect("one was accepted");
+                view.masking.clone_from(&masked.masking);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
@@ -75,6 +81,8 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         fault.assessment(entry)
     };
     assessed.assessments.extend(layout.unused.iter().map(unused));
+    let of_masks = masked::warnings(&assessed.views, &masked);
+    assessed.warnings.extend(of_masks);
     assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
     assessed
@@ -137,6 +145,7 @@ impl Assessed {
             height,
             focal_px,
             gt: None,
+            masking: None,
         });
     }
 

@@ -12,6 +12,7 @@ use crate::run_folder::RunFolder;
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
 use super::heads::{self, Told};
+use super::masks::{self, Masks};
 use super::photograph::CaptureWarning;
 use super::place::{self, Place};
 use super::pose_files;
@@ -66,6 +67,8 @@ pub(super) struct Layout {
     pub(super) unused: Vec<Entry>,
     /// Ground truth by its photograph; empty when there is none.
     pub(super) ground_truth: HashMap<PhotoPath, Entry>,
+    /// Masks by their photograph.
+    pub(super) masks: Masks,
     /// Poses.
     pub(super) poses: Option<GivenPosesFile>,
     /// The files that hold the poses, for the fingerprint.
@@ -98,6 +101,7 @@ impl Layout {
         let unused: Vec<Entry> =
             { others.iter() }.filter(|entry| is_unused(entry)).cloned().collect();
         let named_poses: Vec<&Entry> = others.iter().filter(|e| names_photographs(e)).collect();
+        let masks = masks::take(&mut pictures, &named_poses);
         let has_low_and_high = place::part_low_light(&mut pictures);
         let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
             .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
@@ -110,6 +114,7 @@ impl Layout {
         let Place { folder, photographs, others: elsewhere, warning } =
             place.named_by(&pose_files::names(&named_poses));
         let mut warnings = Vec::from_iter(warning);
+        let masks = masks.of(&photographs, &folder, &mut warnings);
         let truth = beside_photographs(truth, &photographs, &folder);
         let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
             let message = format!("ground truth is not used: {tie}");
@@ -123,6 +128,7 @@ impl Layout {
         }
         Ok(Self {
             ground_truth,
+            masks,
             unused: beside(unused, &photographs, &folder),
             photographs,
             folder,
@@ -139,7 +145,10 @@ impl Layout {
         let mut truth: Vec<&Entry> = self.ground_truth.values().collect();
         truth.sort_by_key(|entry| entry.path.stem().to_lowercase());
         let photographs = self.photographs.iter().map(|e| (e.path.inside(&self.folder), e));
-        let others = { truth.into_iter() }.chain(&self.pose_files).map(|e| (e.path.clone(), e));
+        let others = { truth.into_iter() }
+            .chain(&self.pose_files)
+            .chain(self.masks.entries())
+            .map(|e| (e.path.clone(), e));
         for (path, entry) in photographs.chain(others) {
             let mut content = blake3::Hasher::new();
             let file = File::open(&entry.file);

@@ -109,6 +109,19 @@ impl<'a> Eyes<'a> {
         watched(self.tell, entry, || read_header(&entry.file))
     }
 
+    /// Does work that decodes a picture, once there is memory for it and as much again for a plane
+    /// of it.
+    pub(super) fn decoding<T>(
+        &self,
+        entry: &Entry,
+        work: impl FnOnce() -> Result<T, ImageError>,
+    ) -> Result<T, ImageError> {
+        let header = self.header(entry)?;
+        let plane = (header.width * header.height) as u64;
+        let _share = self.budget.take(header.decoded_bytes.saturating_add(plane));
+        watched(self.tell, entry, work)
+    }
+
     /// The picture, small, once there is memory to decode it.
     fn small(&self, entry: &Entry, header: &Header) -> Result<Image<Srgb>, ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
@@ -180,7 +193,7 @@ fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) 
 }
 
 /// Runs parallel work on so few threads that decoded photographs stay within bounds.
-fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+pub(super) fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
         Ok(pool) => pool.install(work),
         // No threads of its own to be had: the shared ones do it.

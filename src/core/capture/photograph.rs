@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::mask::Masking;
 use crate::photo_path::PhotoPath;
 
 /// One accepted photograph.
@@ -23,6 +24,8 @@ pub struct CaptureView {
     pub focal_px: Option<f64>,
     /// Its sharp ground truth.
     pub gt: Option<PathBuf>,
+    /// What masks it.
+    pub masking: Option<Masking>,
 }
 
 /// What became of one file.

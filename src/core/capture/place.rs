@@ -12,7 +12,7 @@ use crate::photo_path::PhotoPath;
 pub(super) const TRUTH: [&str; 2] = ["gt", "hl"];
 
 /// Folders that are called after photographs: the first of these that there is has them.
-const HOMES: [&str; 11] = [
+pub(super) const HOMES: [&str; 11] = [
     "images",
     "image",
     "rgb",
@@ -70,7 +70,9 @@ fn is_made(entry: &Entry) -> bool {
         let part = part.to_ascii_lowercase();
         MADE_ENDS.iter().any(|end| part.ends_with(end))
     };
-    entry.path.lies_in(&MADE) || entry.path.folder().split('/').any(ends_so)
+    entry.path.lies_in(&MADE)
+        || super::masks::is_small_copy(entry)
+        || entry.path.folder().split('/').any(ends_so)
 }
 
 /// Whether the pictures are those of a set of low light: photographs in `low/` and, of some of

@@ -1,5 +1,6 @@
 //! Captures of every shape, good and bad.
 
+mod masks;
 mod places;
 mod poses;
 mod watched;

@@ -1,20 +1,20 @@
 //! Pose copies: the dark originals as COLMAP should see them.
 //!
-//! One gain a photograph in linear light, so that the median level is sRGB 0.4, and a soft clip:
-//! of gamma, weaker gain, the original, CLAHE and denoising, this registered most photographs.
-//! Area-averaging to about 560 px is a denoiser for free.
+//! One gain a photograph in linear light, so that the median level is sRGB 0.4, and a soft clip
+//! ([`brightened`]): of gamma, weaker gain, the original, CLAHE and denoising, this registered most
+//! photographs. Area-averaging to about 560 px is a denoiser for free.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use super::exposure::brightened;
 use crate::cancel::CancelToken;
-use crate::image::{Image, Srgb, read_header, srgb_to_linear};
+use crate::image::{Image, read_header};
+use crate::mask::Mask;
 use crate::poses::{PoseView, PosesError};
-
-/// sRGB level that the median is brought to.
-const MEDIAN_LEVEL: f32 = 0.4;
 
 /// Copies longer than this are brought down to [`SMALL_SIDE`]: under 250-300 px features run out.
 const LARGEST_SMALL_SIDE: usize = 640;
@@ -22,14 +22,19 @@ const LARGEST_SMALL_SIDE: usize = 640;
 /// Long side of a small copy, px: where the thresholds of the strategies were measured.
 const SMALL_SIDE: usize = 560;
 
-/// Linear light up to which nothing is clipped; above it values approach 1 without reaching it.
-const KNEE: f32 = 0.7;
-
 /// Focal lengths that differ by less are one lens, focused nearer or farther.
 const SAME_LENS: f64 = 1.05;
 
-/// A photograph whose median is darker than half a code value of 8 bits gets no more gain.
-const DARKEST_MEDIAN: f32 = 0.5 / 255.0 / 12.92;
+/// How copies differ from their originals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Brightened, and brought down to [`SMALL_SIDE`].
+    Small,
+    /// Brightened, at full size.
+    Full,
+    /// Small, as bright as they are.
+    Plain,
+}
 
 /// Where the copies stand and how they relate to the originals.
 #[derive(Clone, Debug)]
@@ -38,6 +43,8 @@ pub(super) struct Copies {
     pub copies: Vec<Copy>,
     /// Whether one camera took them: all have one size, and one focal length where EXIF tells.
     pub one_camera: bool,
+    /// The pixels that count of each copy with a mask.
+    pub masks: Arc<[Option<Mask>]>,
     /// How many focal lengths EXIF tells of, those within 5 % taken for one.
     pub zooms: usize,
 }
@@ -54,17 +61,17 @@ pub(super) struct Copy {
 }
 
 impl Copies {
-    /// Small copies of all views, or full-size ones, under `dir`.
+    /// Copies of all views under `dir`.
     pub fn write(
         dir: &Path,
         views: &[PoseView],
-        small: bool,
+        kind: Kind,
         cancel: &CancelToken,
     ) -> Result<Self, PosesError> {
         let copies = views
             .iter()
             .enumerate()
-            .map(|(index, view)| Copy::planned(index, view, small))
+            .map(|(index, view)| Copy::planned(index, view, kind))
             .collect::<Result<Vec<_>, _>>()?;
         let share = |(copy, view): (&Copy, &PoseView)| {
             let longest = copy.original.0.max(copy.original.1) as f64;
@@ -86,16 +93,47 @@ impl Copies {
                 },
             })
             .collect();
-        copies.par_iter().zip(views).try_for_each(|(copy, view)| {
+        let written = copies.par_iter().zip(views).map(|(copy, view)| {
             cancel.check()?;
-            copy.write(dir, view)
-        })?;
-        Ok(Self {
+            copy.write(dir, view, kind)
+        });
+        let masks: Vec<Option<Mask>> = written.collect::<Result<_, PosesError>>()?;
+        let written = Self {
             dir: dir.to_owned(),
             copies,
+            masks: masks.into(),
             one_camera,
             zooms: lenses.iter().filter(|&&lens| lens > 0).collect::<BTreeSet<_>>().len(),
+        };
+        written.write_masks()?;
+        Ok(written)
+    }
+
+    /// The folder of the copies' masks, each called as its copy and `.png`; `None` without any.
+    pub fn mask_dir(&self) -> Option<PathBuf> {
+        self.masks.iter().any(Option::is_some).then(|| self.dir.with_extension("masks"))
+    }
+
+    /// Where one copy has a mask, all get one.
+    fn write_masks(&self) -> Result<(), PosesError> {
+        let Some(dir) = self.mask_dir() else {
+            return Ok(());
+        };
+        self.copies.par_iter().zip(&*self.masks).try_for_each(|(copy, mask)| {
+            let path = dir.join(format!("{}.png", copy.file));
+            let parent = path.parent().unwrap_or(&dir);
+            std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
+            let picture = match mask {
+                Some(mask) => mask.picture(),
+                None => Mask::full(copy.size.0, copy.size.1).picture(),
+            };
+            picture.save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))
         })
+    }
+
+    /// Whether a point of this copy, px, is masked.
+    pub fn hides(&self, copy: usize, point: [f32; 2]) -> bool {
+        self.masks[copy].as_ref().is_some_and(|mask| !mask.holds_at(point))
     }
 
     /// Whether full-size copies would be no different.
@@ -136,12 +174,12 @@ fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
 }
 
 impl Copy {
-    fn planned(index: usize, view: &PoseView, small: bool) -> Result<Self, PosesError> {
+    fn planned(index: usize, view: &PoseView, kind: Kind) -> Result<Self, PosesError> {
         let header =
             read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
         let original = (header.width, header.height);
         let longest = original.0.max(original.1);
-        let size = if small && longest > LARGEST_SMALL_SIDE {
+        let size = if kind != Kind::Full && longest > LARGEST_SMALL_SIDE {
             let scaled =
                 |side: usize| (side as f64 * SMALL_SIDE as f64 / longest as f64).round().max(1.0);
             (scaled(original.0) as usize, scaled(original.1) as usize)
@@ -152,7 +190,8 @@ impl Copy {
         Ok(Self { file: format!("v{index:05}.png"), original, size })
     }
 
-    fn write(&self, dir: &Path, view: &PoseView) -> Result<(), PosesError> {
+    /// Writes the copy; returns its mask.
+    fn write(&self, dir: &Path, view: &PoseView, kind: Kind) -> Result<Option<Mask>, PosesError> {
         let unreadable =
             |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
         let image = Image::load_at_most(&view.file, self.size.0.max(self.size.1))
@@ -160,28 +199,13 @@ impl Copy {
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
-        brightened(&image).save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))
+        let masking = view.masking.as_ref();
+        let mask = masking.map(|masking| masking.load(self.size, Clone::clone)).transpose();
+        let mask = mask.map_err(|e| unreadable(&e))?;
+        let copy = if kind == Kind::Plain { image } else { brightened(&image, mask.as_ref()) };
+        copy.save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))?;
+        Ok(mask)
     }
-}
-
-/// The photograph at the brightness COLMAP likes. A photograph that is bright already stays.
-pub(crate) fn brightened(image: &Image<Srgb>) -> Image<Srgb> {
-    let linear = image.to_linear();
-    let mut levels: Vec<f32> = (0..linear.pixels())
-        .map(|i| (0..3).map(|channel| linear.plane(channel)[i]).sum::<f32>() / 3.0)
-        .collect();
-    let middle = levels.len() / 2;
-    let (_, median, _) = levels.select_nth_unstable_by(middle, f32::total_cmp);
-    let gain = (srgb_to_linear(MEDIAN_LEVEL) / median.max(DARKEST_MEDIAN)).max(1.0);
-    linear.map(|v| soft_clip(v * gain)).to_srgb()
-}
-
-/// The identity up to the knee, then an exponential approach to 1 of the same slope.
-fn soft_clip(value: f32) -> f32 {
-    if value <= KNEE {
-        return value;
-    }
-    KNEE + (1.0 - KNEE) * (1.0 - (-(value - KNEE) / (1.0 - KNEE)).exp())
 }
 
 #[cfg(test)]
@@ -189,39 +213,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_dark_photograph_is_lifted_to_the_median_level_without_clipping() {
-        let mut dark: Image<Srgb> = Image::new(64, 8);
-        for y in 0..8 {
-            for x in 0..64 {
-                dark.set(x, y, [0.01 + 0.002 * x as f32; 3]);
-            }
-        }
-        let bright = brightened(&dark);
-        let mut levels = bright.plane(0).to_vec();
-        levels.sort_by(f32::total_cmp);
-        assert!((levels[levels.len() / 2] - MEDIAN_LEVEL).abs() < 0.01);
-        assert!(levels.windows(2).all(|pair| pair[0] <= pair[1]) && levels[levels.len() - 1] < 1.0);
-    }
-
-    #[test]
-    fn a_bright_photograph_is_left_as_bright_as_it_is() {
-        let mut image: Image<Srgb> = Image::new(4, 4);
-        image.data_mut().fill(0.6);
-        let out = brightened(&image);
-        assert!(out.data().iter().all(|v| (v - 0.6).abs() < 1e-4));
-    }
-
-    #[test]
     fn a_lens_is_known_by_its_focal_length() {
         assert_eq!(lenses(&[None, None]), [0, 0]);
         assert_eq!(lenses(&[Some(0.8), Some(0.82), Some(0.81)]), [1, 1, 1]);
         let zoomed = [Some(1.5), Some(0.8), None, Some(0.83), Some(f64::NAN)];
         assert_eq!(lenses(&zoomed), [2, 1, 0, 1, 0]);
-    }
-
-    #[test]
-    fn black_photographs_do_not_divide_by_zero() {
-        let out = brightened(&Image::new(4, 4));
-        assert!(out.data().iter().all(|v| *v == 0.0));
     }
 }

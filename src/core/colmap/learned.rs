@@ -130,7 +130,8 @@ impl Search<'_> {
             sink.event(&Event::advanced(Stage::Poses, done, total));
         };
         let start = Instant::now();
-        let found = matching.matches(&pictures, Pairs::Within, &mut advance, cancel)?;
+        let mut found = matching.matches(&pictures, Pairs::Within, &mut advance, cancel)?;
+        found.retain(|picture, point| !copies.hides(picture, point));
         let matches: usize = found.pairs.iter().map(|pair| pair.matches.len()).sum();
         sink.log(format!(
             "poses: {matches} matches in {} pairs of {} photographs, {} in {:.1} s",

@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::rc::Rc;
 
+use super::copies::Copies;
 use super::process::{Finished, Runner};
 use crate::cancel::CancelToken;
 use crate::poses::PosesError;
@@ -18,6 +19,11 @@ pub(super) struct Setting {
 /// A setting.
 pub(super) fn set(names: &'static [&'static str], value: &dyn std::fmt::Display) -> Setting {
     Setting { names, value: value.to_string() }
+}
+
+/// Where the copies' masks lie, if they have some: COLMAP takes no features where they are black.
+pub(super) fn masks(copies: &Copies) -> Option<Setting> {
+    copies.mask_dir().map(|dir| set(&["ImageReader.mask_path"], &dir.display()))
 }
 
 /// COLMAP 3.8 to 3.12, then 3.13 and later.

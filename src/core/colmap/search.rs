@@ -4,10 +4,10 @@ use std::path::Path;
 
 use super::candidate::{Candidate, Evidence};
 use super::consistency::Consistency;
-use super::copies::Copies;
+use super::copies::{Copies, Kind};
 use super::files::{largest_model, remove_if_there};
 use super::groups;
-use super::options::{self, Prober, Setting, set};
+use super::options::{self, Prober, Setting, masks, set};
 use super::process::Runner;
 use super::strategies::{Acceptance, Mapping, STRATEGIES, Strategy, advance};
 use crate::cancel::CancelToken;
@@ -63,7 +63,7 @@ impl<'a> Search<'a> {
     ) -> Result<Copies, PosesError> {
         let Self { request, .. } = self;
         let folder = request.work_dir.join("small");
-        let small = Copies::write(&folder, request.views, true, cancel)?;
+        let small = Copies::write(&folder, request.views, Kind::Small, cancel)?;
         warn_of_zooms(&small, sink);
         Ok(small)
     }
@@ -90,7 +90,7 @@ impl<'a> Search<'a> {
         }
         for strategy in STRATEGIES
             .iter()
-            .filter(|strategy| !(strategy.full_size && small.are_full_size()))
+            .filter(|strategy| !(strategy.copies == Kind::Full && small.are_full_size()))
             .filter(|strategy| strategy.beside_networks || evidence.found.is_none())
         {
             let accepted = best.as_ref().filter(|best| best.accepted);
@@ -133,9 +133,13 @@ impl<'a> Search<'a> {
     ) -> Result<Option<Candidate>, PosesError> {
         let views = self.request.views;
         advance(sink, strategy.letter, 0);
-        let copies = match strategy.full_size {
-            true => Copies::write(&self.request.work_dir.join("full"), views, false, cancel)?,
-            false => evidence.small.clone(),
+        let written = |folder: &str| {
+            Copies::write(&self.request.work_dir.join(folder), views, strategy.copies, cancel)
+        };
+        let copies = match strategy.copies {
+            Kind::Small => evidence.small.clone(),
+            Kind::Full => written("full")?,
+            Kind::Plain => written("plain")?,
         };
         let database = self.request.work_dir.join(format!("{}.db", strategy.database));
         if strategy.database == strategy.letter {
@@ -213,6 +217,7 @@ impl<'a> Search<'a> {
             set(&["ImageReader.camera_model"], &"SIMPLE_RADIAL"),
             share,
         ];
+        settings.extend(masks(copies));
         if let Some(focal) = copies.focal(self.request.views) {
             let (width, height) = copies.copies[0].size;
             let params = format!("{focal},{},{},0", width as f64 / 2.0, height as f64 / 2.0);

@@ -1,5 +1,6 @@
 //! The fallback strategies, and when a model of one is good enough.
 
+use super::copies::Kind;
 use crate::event::{Event, ProgressSink, Stage};
 
 /// When a model is good enough. Fitted on runs of real captures: loosened options register
@@ -31,7 +32,8 @@ pub(super) struct Strategy {
     pub(super) letter: char,
     /// The strategy whose features and matches are mapped.
     pub(super) database: char,
-    pub(super) full_size: bool,
+    /// The copies that features are found in.
+    pub(super) copies: Kind,
     /// Affine shapes, domain-size pooling, a lower peak threshold: for images with few features.
     pub(super) robust_features: bool,
     pub(super) loose_mapper: bool,
@@ -41,11 +43,11 @@ pub(super) struct Strategy {
 }
 
 /// COLMAP's own features, in the order in which they are tried.
-pub(super) const STRATEGIES: [Strategy; 5] = [
+pub(super) const STRATEGIES: [Strategy; 6] = [
     Strategy {
         letter: 'A',
         database: 'A',
-        full_size: false,
+        copies: Kind::Small,
         robust_features: false,
         loose_mapper: false,
         beside_networks: true,
@@ -53,7 +55,7 @@ pub(super) const STRATEGIES: [Strategy; 5] = [
     Strategy {
         letter: 'B',
         database: 'A',
-        full_size: false,
+        copies: Kind::Small,
         robust_features: false,
         loose_mapper: true,
         beside_networks: true,
@@ -61,7 +63,7 @@ pub(super) const STRATEGIES: [Strategy; 5] = [
     Strategy {
         letter: 'C',
         database: 'C',
-        full_size: true,
+        copies: Kind::Full,
         robust_features: false,
         loose_mapper: true,
         beside_networks: false,
@@ -69,7 +71,7 @@ pub(super) const STRATEGIES: [Strategy; 5] = [
     Strategy {
         letter: 'D',
         database: 'D',
-        full_size: false,
+        copies: Kind::Small,
         robust_features: true,
         loose_mapper: true,
         beside_networks: false,
@@ -77,10 +79,18 @@ pub(super) const STRATEGIES: [Strategy; 5] = [
     Strategy {
         letter: 'E',
         database: 'E',
-        full_size: false,
+        copies: Kind::Small,
         robust_features: false,
         loose_mapper: false,
         beside_networks: false,
+    },
+    Strategy {
+        letter: 'G',
+        database: 'G',
+        copies: Kind::Plain,
+        robust_features: false,
+        loose_mapper: false,
+        beside_networks: true,
     },
 ];
 

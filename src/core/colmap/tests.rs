@@ -11,6 +11,7 @@ use std::path::Path;
 use super::*;
 use crate::event::{Event, Silent};
 use crate::image::{Image, Srgb};
+use crate::mask::{MaskPicture, Masking};
 use crate::photo_path::PhotoPath;
 use crate::poses::PoseView;
 
@@ -20,7 +21,7 @@ const PRELUDE: &str = r#"#!/bin/sh
 case "$1" in help) echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0;; esac
 if [ "$2" = "-h" ]; then
   printf '  -h [ --help ]\n  --database_path arg\n  --image_path arg\n  --output_path arg\n  --random_seed arg (=0)\n'
-  [ "$1" = feature_extractor ] && printf '  --SiftExtraction.use_gpu arg (=1)\n'
+  [ "$1" = feature_extractor ] && printf '  --SiftExtraction.use_gpu arg (=1)\n  --ImageReader.mask_path arg\n'
   [ "$1" = point_triangulator ] && printf "  --input_path arg\n"
   [ "$1" = exhaustive_matcher ] && printf '  --SiftMatching.use_gpu arg (=1)\n'
   exit 0
@@ -59,6 +60,7 @@ impl Scene {
             path: PhotoPath::default(),
             file: file.clone(),
             focal_px: None,
+            masking: None,
         };
         let script = dir.path().join("colmap");
         std::fs::write(&script, format!("{PRELUDE}{MODEL}{body}")).unwrap();
@@ -260,4 +262,38 @@ fn two_photographs_are_too_few_before_anything_is_run() {
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
     assert!(matches!(outcome, Err(PosesError::TooFew { registered: 0, total: 2, .. })));
+}
+
+#[test]
+fn colmap_gets_the_masks_of_the_photographs() {
+    let mut scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    let mut picture: Image<Srgb> = Image::new(24, 16);
+    (0..24 * 16).filter(|i| i % 24 >= 12).for_each(|i| picture.set(i % 24, i / 24, [1.0; 3]));
+    let file = scene.dir.path().join("mask.png");
+    picture.save(&file).unwrap();
+    assert!(scene.poses().is_ok() && !scene.log().contains("mask_path /"));
+    let pictures = vec![MaskPicture { file, white_hides: false }];
+    let photograph = scene.views[3].file.clone();
+    scene.views[3].masking = Some(Masking { photograph, pictures, alpha: false });
+    scene.poses().unwrap();
+    let folder = scene.work_dir().join("small.masks");
+    assert!(scene.log().contains(&format!("--ImageReader.mask_path {}", folder.display())));
+    let mask = |copy: &str| Image::load(&folder.join(copy)).unwrap();
+    let own = mask("v00003.png.png");
+    assert_eq!((own.width(), own.height()), (48, 32));
+    assert_eq!((own.get(23, 9)[0], own.get(24, 9)[0]), (0.0, 1.0));
+    assert!(mask("v00004.png.png").data().iter().all(|v| *v == 1.0), "nothing of it is masked");
+}
+
+#[test]
+fn the_photographs_as_they_are_come_last() {
+    let body =
+        r#"[ $command = mapper ] && case "$out" in *-G) model "$out/0" 10 10;; esac; exit 0"#;
+    let scene = Scene::new(10, body);
+    assert_eq!(scene.poses().unwrap().strategy, Some('G'));
+    let level = |folder: &str| {
+        let copy = scene.work_dir().join(folder).join("v00000.png");
+        Image::load(&copy).unwrap().get(9, 9)[0]
+    };
+    assert!((level("plain") - 0.1).abs() < 0.01 && level("small") > 0.3);
 }

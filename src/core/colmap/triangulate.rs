@@ -1,7 +1,7 @@
 //! Sparse points for views whose poses are known: COLMAP's features and matches, triangulated.
 
-use super::copies::Copies;
-use super::options::{self, set};
+use super::copies::{Copies, Kind};
+use super::options::{self, masks, set};
 use super::search::Search;
 use crate::cancel::CancelToken;
 use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
@@ -20,7 +20,7 @@ impl Search<'_> {
         };
         let views: Vec<PoseView> = posed.iter().filter_map(of).collect();
         let work = self.request.work_dir;
-        let copies = Copies::write(&work.join("small"), &views, true, cancel)?;
+        let copies = Copies::write(&work.join("small"), &views, Kind::Small, cancel)?;
         let (known, output) = (work.join("known"), work.join("triangulated"));
         for folder in [&known, &output] {
             std::fs::create_dir_all(folder).map_err(PosesError::io(folder))?;
@@ -47,7 +47,7 @@ impl Search<'_> {
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
         super::files::remove_if_there(database)?;
-        let settings = [
+        let mut settings = vec![
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),
             set(&["ImageReader.camera_model"], &"PINHOLE"),
@@ -57,6 +57,7 @@ impl Search<'_> {
             // numbers.
             set(options::EXTRACT_THREADS, &1),
         ];
+        settings.extend(masks(copies));
         self.succeed("feature_extractor", &settings, cancel)
     }
 }

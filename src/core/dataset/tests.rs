@@ -58,6 +58,7 @@ fn capture() -> Capture {
             path: PhotoPath::new(&format!("{}.png", name(i))),
             file,
             focal_px: None,
+            masking: None,
         }
     });
     let views = views.collect();

@@ -3,6 +3,7 @@
 //! `_test` and `_val`.
 
 mod json;
+mod masks;
 mod optics;
 
 use std::collections::HashSet;
@@ -16,6 +17,7 @@ use crate::photo_path::PhotoPath;
 use crate::poses::left_out::{LeftOut, in_words};
 use crate::poses::{PosesError, Rotation, rotation};
 use json::{Fields, Object};
+pub use masks::masks;
 
 /// How the names of the files go on where there is one for each split, and whether its views train.
 const SPLITS: [(&str, bool); 3] = [("_train", true), ("_val", false), ("_test", false)];

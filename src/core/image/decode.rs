@@ -10,6 +10,7 @@ mod error;
 mod heic;
 mod jpeg;
 mod pages;
+pub(crate) mod shares;
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Read, Seek};
@@ -47,6 +48,8 @@ pub struct Header {
     pub decoded_bytes: u64,
     /// The larger range of brightness that becomes sRGB as it is read.
     pub hdr: Option<HdrTransfer>,
+    /// Whether the pixels have alpha.
+    pub has_alpha: bool,
 }
 
 /// Reads a file's header and holds it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
@@ -203,6 +206,7 @@ impl Opened {
         let orientation = orientation.unwrap_or(Orientation::NoTransforms);
         // A turned picture is a second one beside the first.
         let copies = if orientation == Orientation::NoTransforms { 1 } else { 2 };
+        let has_alpha = decoder.color_type().has_alpha();
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
         let decoded_bytes = decoded_bytes.saturating_add(beside);
         let (width, height) = match orientation.to_exif() {
@@ -213,7 +217,15 @@ impl Opened {
         Ok(Self {
             decoder,
             orientation,
-            header: Header { width, height, orientation, focal_px, decoded_bytes, hdr: None },
+            header: Header {
+                width,
+                height,
+                orientation,
+                focal_px,
+                decoded_bytes,
+                hdr: None,
+                has_alpha,
+            },
             is_jpeg: format == Some(ImageFormat::Jpeg),
         })
     }

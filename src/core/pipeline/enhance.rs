@@ -63,11 +63,13 @@ pub fn plan(
 ) -> Result<Brightening, PipelineError> {
     let options = dependencies.enhance().options();
     let dark = dark(views);
+    let counted = views::counted_dark(views);
+    let counted: Vec<&Image> = counted.iter().map(|image| &**image).collect();
     let by_network = by_network(context, views, dependencies, tools)?;
     let anchors = match &by_network {
         Some(images) => vec![nearest(context, options, &dark, images); options.rounds as usize],
         None => {
-            let target = target(options, &dark)?;
+            let target = target(options, &counted)?;
             context.sink.log(format!("target brightness: {target}"));
             match dependencies.levels() {
                 Levels::Rising => enhance::anchors(options.rounds, target),
@@ -76,7 +78,7 @@ pub fn plan(
         }
     };
     let round = |(number, anchor)| {
-        let tone = Tone::fit(options.lut_scope, &dark, &[anchor]);
+        let tone = Tone::fit(options.lut_scope, &counted, &[anchor]);
         Round::new(number, anchor, tone)
     };
     let rounds: Vec<Round> = (1..).zip(anchors).map(round).collect();

@@ -19,7 +19,7 @@ use super::reconstruct::TrainedScene;
 use super::report;
 use super::round::Round;
 use super::tone::Tone;
-use super::views::View;
+use super::views::{View, masks};
 use super::workspace::Workspace;
 use crate::camera::normalisation::Normalisation;
 use crate::event::Stage;
@@ -127,7 +127,7 @@ fn measure(
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
     let response = &brightening.last().response;
-    let likenesses = likenesses(&target.renders, target.enhanced, response);
+    let likenesses = likenesses(&target.renders, target.enhanced, &masks(views), response);
     let score = score::score(views, &likenesses);
     let comparisons = records::comparisons(views, images, target);
     let before = previous.and_then(|previous| previous.score);

@@ -6,7 +6,7 @@ use super::config::{Options, ShakeModel, TrainOn};
 use super::context::Context;
 use super::round::Round;
 use super::shaken::{self, Shaken};
-use super::views::View;
+use super::views::{View, masks};
 use crate::camera::Split;
 use crate::deblur::NetworkChoice;
 use crate::image::Image;
@@ -51,12 +51,12 @@ pub enum TrainedOn {
 pub fn trained_on(
     options: &Options,
     round: &Round,
+    views: &[View],
     explained: &[bool],
-    enhanced: &[Image],
-    deblurred: &[Image],
+    [enhanced, deblurred]: [&[Image]; 2],
 ) -> Vec<TrainedOn> {
     let is_earned = options.shake == ShakeModel::Late && options.train_on == TrainOn::Auto;
-    let told = is_earned.then(|| shaken::told(enhanced, deblurred, &round.response));
+    let told = is_earned.then(|| shaken::told(enhanced, deblurred, &masks(views), &round.response));
     let is_denoised = is_earned && options.deblur != NetworkChoice::Identity;
     let of = |(index, &explained): (usize, &bool)| {
         if options.trains_on_enhanced(explained) {
@@ -155,6 +155,7 @@ mod tests {
             camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
             dark: sharp(),
             gt: None,
+            mask: None,
             split: Split::Train,
             is_late: false,
         }
@@ -195,8 +196,9 @@ mod tests {
         let anchor = Anchor::exposure(0.0);
         let round = Round::new(1, anchor, Tone::fit(LutScope::Scene, &[&dark], &[anchor]));
         let (enhanced, deblurred) = ([along_x(&sharp()), sharp()], [sharp(), sharp()]);
+        let views = [view("a"), view("b")];
         let of = |options: &Options, explained: [bool; 2]| {
-            trained_on(options, &round, &explained, &enhanced, &deblurred)
+            trained_on(options, &round, &views, &explained, [&enhanced, &deblurred])
         };
         let auto = Options::default();
         assert_eq!(of(&auto, [false, false]), [Deblurred, Mean]);

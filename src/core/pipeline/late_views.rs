@@ -136,7 +136,8 @@ fn find(
         .map(|placed| renderer.render_scene(&uploaded, &placed.camera))
         .collect::<Result<Vec<_>, _>>()?;
     let images: Vec<Image> = placed.iter().map(|placed| placed.image.clone()).collect();
-    let likenesses = likenesses(&renders, &images, &finished.round.response);
+    let masks: Vec<_> = placed.iter().map(|placed| placed.mask.as_ref()).collect();
+    let likenesses = likenesses(&renders, &images, &masks, &finished.round.response);
     let mut found = Vec::new();
     for (placed, likeness) in placed.into_iter().zip(likenesses) {
         let joins = likeness.fit >= judgement.least;

@@ -245,6 +245,7 @@ pub fn pose_view(view: &CaptureView) -> PoseView {
         path: view.path.clone(),
         file: view.file.clone(),
         focal_px: view.focal_px,
+        masking: view.masking.clone(),
     }
 }
 

@@ -343,6 +343,7 @@ fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
             name: view.name.clone(),
             camera: view.camera,
             image: image.clone(),
+            mask: view.mask.clone(),
         })
         .collect()
 }

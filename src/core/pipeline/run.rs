@@ -184,7 +184,7 @@ fn round(
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
     let known = report.rounds.last().map(|before| &before.views[..]);
     let explained = explained(asked.options, views, asked.shaken, known);
-    let trained = trained_on(asked.options, round, &explained, &enhanced, &deblurred);
+    let trained = trained_on(asked.options, round, views, &explained, [&enhanced, &deblurred]);
     explained::tell(context, round.number, views, &explained, &trained);
     let images = training_images(&trained, &enhanced, &deblurred, &round.response);
     let material = Material {

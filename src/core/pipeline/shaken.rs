@@ -15,11 +15,12 @@ use super::enhance::Brightening;
 use super::error::PipelineError;
 use super::restore::Restoration;
 use super::tools::Tools;
-use super::views::View;
+use super::views::{View, masks};
 use crate::cancel::CancelToken;
 use crate::deblur::{NetworkChoice, Restorer};
 use crate::event::Stage;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response};
@@ -41,17 +42,27 @@ const MOST_ASKED: usize = 12;
 pub const SHAKEN_SHARE: f64 = 0.6;
 
 /// For each view, the significance of the kernel from its deblurred image back to it.
-fn significances(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
-    let of = |(view, sharper): (&Image, &Image)| {
-        let kernel = shake::estimate(sharper, view, response);
+fn significances(
+    enhanced: &[Image],
+    deblurred: &[Image],
+    masks: &[Option<&Mask>],
+    response: &Response,
+) -> Vec<f64> {
+    let of = |((view, sharper), mask): ((&Image, &Image), &Option<&Mask>)| {
+        let kernel = shake::estimate(sharper, view, response, *mask);
         kernel.significance(view.width().max(view.height()))
     };
-    enhanced.par_iter().zip(deblurred).map(of).collect()
+    enhanced.par_iter().zip(deblurred).zip(masks).map(of).collect()
 }
 
 /// For each view, whether deblurring removed a significant shake.
-pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<bool> {
-    let of_views = significances(enhanced, deblurred, response);
+pub fn told(
+    enhanced: &[Image],
+    deblurred: &[Image],
+    masks: &[Option<&Mask>],
+    response: &Response,
+) -> Vec<bool> {
+    let of_views = significances(enhanced, deblurred, masks, response);
     of_views.into_iter().map(|significance| significance >= 1.0).collect()
 }
 
@@ -142,7 +153,7 @@ pub fn shaken(
     let on = depends_on.round(0, None).deblur;
     let deblurred = restoration.by(tools.deblurrer, context, &on)?;
     let response = &brightening.last().response;
-    let ratios = significances(&brightening.target, &deblurred, response);
+    let ratios = significances(&brightening.target, &deblurred, &masks(views), response);
     let mut shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
     let sides = brightening.target.iter().map(|view| view.width().max(view.height()) as u32);
     shaken.longest = sides.max().unwrap_or(0);
@@ -185,7 +196,8 @@ fn is_strong(
         deblurred.push(network.restore(&small, None)?);
         enhanced.push(small);
     }
-    let significances = significances(&enhanced, &deblurred, response);
+    let masks = vec![None; enhanced.len()];
+    let significances = significances(&enhanced, &deblurred, &masks, response);
     Ok(middle(significances) >= STRONG_FROM)
 }
 

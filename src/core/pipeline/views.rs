@@ -1,5 +1,7 @@
 //! The registered photographs at their working size.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::config::{Options, OptionsError};
@@ -12,6 +14,7 @@ use crate::camera::{Camera, NamedCamera, Split};
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureView};
 use crate::image::Image;
+use crate::mask::{Mask, counted};
 use crate::poses::{PosedView, Poses};
 use crate::run_folder::RoundPictures;
 
@@ -31,6 +34,8 @@ pub struct View {
     pub dark: Image,
     /// The sharp, bright ground truth, if the capture has it.
     pub gt: Option<Image>,
+    /// The pixels that count; all without one.
+    pub mask: Option<Mask>,
     /// Whether it trains or is held out.
     pub split: Split,
     /// Whether the scene of an earlier round placed it.
@@ -40,6 +45,16 @@ pub struct View {
 /// L, the dark views.
 pub fn dark(views: &[View]) -> Vec<&Image> {
     views.iter().map(|view| &view.dark).collect()
+}
+
+/// The masks of the views.
+pub fn masks(views: &[View]) -> Vec<Option<&Mask>> {
+    views.iter().map(|view| view.mask.as_ref()).collect()
+}
+
+/// The pixels of the dark views that count, for what does not depend on where they are.
+pub fn counted_dark(views: &[View]) -> Vec<Cow<'_, Image>> {
+    views.iter().map(|view| counted(&view.dark, view.mask.as_ref())).collect()
 }
 
 /// Names of the photographs that have no pose.
@@ -187,11 +202,20 @@ pub fn view(
         Some(path) => Some(resample(&posed.undistort(&load(path)?), width, height)),
         None => None,
     };
+    let mask = match &photograph.masking {
+        Some(masking) => Some(
+            masking
+                .load((width, height), |shares| posed.undistort(shares))
+                .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })?,
+        ),
+        None => None,
+    };
     Ok(View {
         name: posed.name.clone(),
         camera: posed.camera.resized(width, height),
         dark,
         gt,
+        mask,
         split,
         is_late: false,
     })

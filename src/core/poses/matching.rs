@@ -43,6 +43,20 @@ pub struct Correspondences {
     pub pairs: Vec<PairMatches>,
 }
 
+impl Correspondences {
+    /// Without the matches of key points that are not wanted, by picture and x and y in px.
+    pub fn retain(&mut self, is_wanted: impl Fn(usize, [f32; 2]) -> bool) {
+        let wanted: Vec<Vec<bool>> = { self.key_points.iter().enumerate() }
+            .map(|(picture, points)| points.iter().map(|p| is_wanted(picture, *p)).collect())
+            .collect();
+        for pair in &mut self.pairs {
+            let [first, second] = [&wanted[pair.first], &wanted[pair.second]];
+            pair.matches.retain(|[one, other]| first[*one as usize] && second[*other as usize]);
+        }
+        self.pairs.retain(|pair| !pair.matches.is_empty());
+    }
+}
+
 /// The matches of two pictures.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PairMatches {
@@ -52,4 +66,22 @@ pub struct PairMatches {
     pub second: usize,
     /// Indices of key points, in the first and in the second.
     pub matches: Vec<[u32; 2]>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn matches_of_unwanted_points_are_left_out() {
+        let pair = |first, second| PairMatches { first, second, matches: vec![[0, 1], [1, 0]] };
+        let points = |picture: usize| vec![[picture as f32, 0.0], [picture as f32, 9.0]];
+        let mut found = Correspondences {
+            key_points: (0..3).map(points).collect(),
+            pairs: vec![pair(0, 1), pair(0, 2), pair(1, 2)],
+        };
+        found.retain(|picture, [_, y]| picture != 2 && (picture != 1 || y > 5.0));
+        let left = PairMatches { first: 0, second: 1, matches: vec![[0, 1]] };
+        assert_eq!(found.pairs, [left]);
+    }
 }

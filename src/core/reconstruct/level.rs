@@ -21,7 +21,10 @@ impl Level {
         let mut losses = BTreeMap::new();
         for [width, height] in views.iter().map(Observed::size) {
             if let Entry::Vacant(entry) = losses.entry([width, height]) {
-                entry.insert(Loss::new(gpu, width, height)?);
+                let loss = Loss::new(gpu, width, height)?;
+                let of_size = views.iter().filter(|view| view.size() == [width, height]);
+                let has_masks = { of_size }.any(|view| view.given().mask.is_some());
+                entry.insert(if has_masks { loss.with_masks(gpu)? } else { loss });
             }
         }
         Ok(Self { divisor, losses })

@@ -26,6 +26,7 @@ use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
 use crate::image::Image;
+use crate::mask::Mask;
 
 /// Weight of the mean absolute error; the usual share for splats.
 pub const L1_SHARE: f64 = 0.8;
@@ -63,6 +64,14 @@ const GRADIENT: Kernel = Kernel::new(
         read_write("error_sums"),
     ],
 );
+
+const FILL: Kernel = Kernel::new(
+    "train/mask_fill",
+    &[uniform("size"), read("prediction"), read("truth"), read("kept"), read_write("filled")],
+);
+
+const MASK_GRADIENT: Kernel =
+    Kernel::new("train/mask_gradient", &[uniform("size"), read("kept"), read_write("gradient")]);
 
 /// `LossUniform` of shaders/shared/loss.wgsl.
 #[repr(C)]
@@ -118,6 +127,8 @@ pub struct Loss {
     derivatives: Buffer<[f32; 4]>,
     similarity_sums: Buffer<f32>,
     error_sums: Buffer<[f32; 2]>,
+    /// The prediction with the target in masked pixels; `None` for views without masks.
+    filled: Option<Buffer<f32>>,
 }
 
 impl Loss {
@@ -139,7 +150,17 @@ impl Loss {
             derivatives: gpu.create("similarity derivatives", values)?,
             similarity_sums: gpu.create("similarity sums", layout.invocations())?,
             error_sums: gpu.create("error sums", layout.invocations())?,
+            filled: None,
         })
+    }
+
+    /// With room for [`Loss::record_masked`].
+    ///
+    /// # Errors
+    /// A device error, typically out of memory.
+    pub fn with_masks(self, gpu: &Gpu) -> Result<Self, GpuError> {
+        let filled = gpu.create("masked prediction", self.layout.values as usize)?;
+        Ok(Self { filled: Some(filled), ..self })
     }
 
     /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from
@@ -175,6 +196,31 @@ impl Loss {
         )
     }
 
+    /// [`Loss::record`] without the pixels that are not in `kept` (from [`upload_mask`]): there the
+    /// prediction is taken to be the target, so it has no error, and its gradient is 0. Means are
+    /// over all pixels.
+    ///
+    /// # Errors
+    /// [`GpuError::Validation`] when a buffer is shorter than the image, or without
+    /// [`Loss::with_masks`]; a device error.
+    pub fn record_masked(
+        &self,
+        recorder: &mut Recorder,
+        prediction: &Buffer<f32>,
+        [target, kept]: [&Buffer<u32>; 2],
+        gradient: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let values = self.layout.values as usize;
+        let Some(filled) = self.filled.as_ref().filter(|_| 32 * kept.len() >= values / 3) else {
+            return Err(GpuError::Validation(format!(
+                "a masked loss of {values} values without room for them"
+            )));
+        };
+        recorder.dispatch_items(&FILL, &[&self.size, prediction, target, kept, filled], values)?;
+        self.record(recorder, filled, target, gradient)?;
+        recorder.dispatch_items(&MASK_GRADIENT, &[&self.size, kept, gradient], values)
+    }
+
     /// The value of the last submitted loss. Waits for the device. The partial sums are added in a
     /// fixed order, so the same images give the same bits.
     ///
@@ -199,6 +245,23 @@ pub fn pack_target(image: &Image) -> Vec<u32> {
     pairs
         .map(|pair| quantised(pair[0]) | pair.get(1).map_or(0, |&second| quantised(second) << 16))
         .collect()
+}
+
+/// Packs a mask for the loss: a bit per pixel, row by row, 32 per word, the first in the lowest.
+pub fn pack_mask(mask: &Mask) -> Vec<u32> {
+    let word = |pixels: &[bool]| {
+        let bits = pixels.iter().enumerate();
+        bits.fold(0, |word, (at, &holds)| word | u32::from(holds) << at)
+    };
+    mask.pixels().chunks(32).map(word).collect()
+}
+
+/// [`pack_mask`] into a buffer.
+///
+/// # Errors
+/// A device error.
+pub fn upload_mask(gpu: &Gpu, mask: &Mask) -> Result<Buffer<u32>, GpuError> {
+    gpu.upload("mask", &pack_mask(mask))
 }
 
 /// [`pack_target`] into a buffer.

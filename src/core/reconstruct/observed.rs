@@ -3,10 +3,11 @@
 use fled_gpu::{Buffer, Gpu, GpuError};
 
 use super::TrainingView;
-use super::loss::upload_target;
+use super::loss::{upload_mask, upload_target};
 use super::schedule::reduced_size;
 use crate::camera::Camera;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::register::Motion;
 use crate::shake::DeviceKernel;
 use crate::splat::pass::PassRecording;
@@ -22,6 +23,8 @@ pub(super) struct Observed<'a> {
     pub(super) kernel: Option<DeviceKernel>,
     /// The packed photograph for the loss, created on first use.
     target: Option<Buffer<u32>>,
+    /// The packed mask for the loss, created on first use; `None` without one.
+    kept: Option<Buffer<u32>>,
     /// The recording of a step without the noise field.
     pub(super) recording: Option<PassRecording>,
 }
@@ -33,6 +36,7 @@ impl<'a> Observed<'a> {
             camera: given.camera,
             motion: Motion::default(),
             target: None,
+            kept: None,
             recording: None,
             given,
             kernel,
@@ -54,7 +58,7 @@ impl<'a> Observed<'a> {
         let image = &self.given.image;
         let size = reduced_size(image.width(), image.height(), divisor);
         self.camera = self.full_camera().resized(size.0, size.1);
-        (self.target, self.recording) = (None, None);
+        (self.target, self.kept, self.recording) = (None, None, None);
     }
 
     pub(super) fn camera(&self) -> &Camera {
@@ -85,11 +89,33 @@ impl<'a> Observed<'a> {
         self.given.image.resize_area(width, height)
     }
 
-    /// The packed photograph for the loss.
+    /// The pixels that count at this size in px; `None` where all do.
+    pub(super) fn mask(&self, [width, height]: [usize; 2]) -> Option<Mask> {
+        self.given.mask.as_ref().map(|mask| mask.resized(width, height))
+    }
+
+    /// The packed mask for the loss, where there is one.
+    pub(super) fn kept(&mut self, gpu: &Gpu) -> Result<Option<Buffer<u32>>, GpuError> {
+        if self.kept.is_none()
+            && let Some(mask) = self.mask(self.size())
+        {
+            self.kept = Some(upload_mask(gpu, &mask)?);
+        }
+        Ok(self.kept.clone())
+    }
+
+    /// The packed photograph for the loss, black where it is masked.
     pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
         let target = match self.target.take() {
             Some(target) => target,
-            None => upload_target(gpu, &self.photograph(self.size()))?,
+            None => {
+                let size = self.size();
+                let photograph = self.photograph(size);
+                let black = || Image::new(size[0], size[1]);
+                // Windows at the border of a mask would see the colours behind it.
+                let shown = self.mask(size).map(|mask| mask.composite(&photograph, &black()));
+                upload_target(gpu, &shown.unwrap_or(photograph))?
+            }
         };
         Ok(self.target.insert(target).clone())
     }

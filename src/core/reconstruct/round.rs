@@ -8,6 +8,7 @@ use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
 
 /// One training image.
@@ -19,6 +20,8 @@ pub struct TrainingView {
     pub camera: Camera,
     /// sRGB-encoded.
     pub image: Image,
+    /// The pixels that count; all without one.
+    pub mask: Option<Mask>,
     /// Whether a kernel may explain its shake, if the round has kernels.
     pub has_kernel: bool,
 }

@@ -11,6 +11,7 @@ use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
 use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::metrics::psnr;
 use crate::noise::NoiseMode;
 use crate::register;
@@ -76,6 +77,7 @@ fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<Training
             name: format!("{n}"),
             camera,
             image: render(scene, &camera),
+            mask: None,
         }
     };
     angles.iter().enumerate().map(view).collect()
@@ -143,6 +145,51 @@ fn bytes(scene: &Gaussians) -> Vec<u8> {
     let mut bytes = Vec::new();
     ply::write_to(scene, &Normalisation::default(), &mut bytes).expect("written");
     bytes
+}
+
+/// The views with a square of this colour in the middle of each, and masks that hide it.
+fn covered(views: &[TrainingView], colour: [f32; 3], is_masked: bool) -> Vec<TrainingView> {
+    let cover = |view: &TrainingView| {
+        let (width, height) = (view.image.width(), view.image.height());
+        let is_middle = |i: usize| {
+            let (x, y) = (i % width, i / width);
+            (3 * width / 8..5 * width / 8).contains(&x) && (height / 4..height / 2).contains(&y)
+        };
+        let mut image = view.image.clone();
+        (0..width * height)
+            .filter(|&i| is_middle(i))
+            .for_each(|i| image.set(i % width, i / width, colour));
+        let kept = (0..width * height).map(|i| !is_middle(i)).collect();
+        let mask = is_masked.then(|| Mask::new(width, height, kept));
+        TrainingView { image, mask, ..view.clone() }
+    };
+    views.iter().map(cover).collect()
+}
+
+#[test]
+fn what_is_masked_does_not_reach_the_scene() {
+    let scene = truth(200, 5);
+    let angles: Vec<_> = (0..7).map(|n| -0.6 + 0.2 * f64::from(n)).collect();
+    let views = views_of(&scene, &angles, [96, 64]);
+    let mut config = config(250, 400);
+    config.resolution_schedule = true;
+    let of = |colour, is_masked| {
+        let views = covered(&views, colour, is_masked);
+        trained(&views, start(&views, &scene, &config), &config)
+    };
+    let (magenta, green) = (of([1.0, 0.0, 1.0], true), of([0.0, 1.0, 0.0], true));
+    assert_eq!(magenta.gaussians, green.gaussians, "the colour of what is masked tells nothing");
+    assert_eq!(magenta.final_loss, green.final_loss);
+    let seen = of([1.0, 0.0, 1.0], false);
+    let score = |trained: &Trained| {
+        let image = render(&trained.gaussians, &views[3].camera);
+        let mask = covered(&views[3..4], [0.0; 3], true)[0].mask.clone().expect("masked");
+        let middle = mask.pixels().iter().map(|kept| !kept).collect();
+        let middle = Mask::new(96, 64, middle);
+        psnr(&middle.pixels_of(&image), &middle.pixels_of(&views[3].image))
+    };
+    let (masked, unmasked) = (score(&magenta), score(&seen));
+    assert!(masked > unmasked + 3.0, "{masked} dB masked, {unmasked} dB not");
 }
 
 #[test]
@@ -384,12 +431,12 @@ fn host_times() {
         let [photograph, probed @ ..] = &moved[..] else { panic!("seven") };
         let probed: [Image; 6] = probed.to_vec().try_into().expect("six");
         best(&format!("a kernel at {width}x{height}"), &mut || {
-            shake::estimate_by_cells(&seen, photograph, &Response::srgb());
+            shake::estimate_by_cells(&seen, photograph, &Response::srgb(), None);
         });
         let probes = register::probes(&camera_at(0.0, width, height), 3.0);
         best(&format!("a camera at {width}x{height}"), &mut || {
-            register::correction(photograph, &seen, &probed, &probes);
-            register::difference(photograph, &seen);
+            register::correction(photograph, &seen, &probed, &probes, None);
+            register::difference(photograph, &seen, None);
         });
     }
     let rows = pack_geometry(&truth(100_000, 5));

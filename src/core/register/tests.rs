@@ -47,7 +47,7 @@ fn corrected(photograph: &Image, given: &Camera, rounds: usize) -> Motion {
         let camera = motion.moved(given);
         let probes = probes(&camera, DEPTH);
         let probed = probes.map(|probe| seen(&motion.plus(&probe).moved(given)));
-        let by = correction(photograph, &seen(&camera), &probed, &probes).expect("tells");
+        let by = correction(photograph, &seen(&camera), &probed, &probes, None).expect("tells");
         motion = motion.plus(&by);
     }
     motion
@@ -89,10 +89,13 @@ fn corrections_are_bounded_and_flat_images_give_none() {
     let probes = probes(&truth, DEPTH);
     let flat = Image::from_planar(96, 64, vec![0.4; 3 * 96 * 64]);
     let same = std::array::from_fn(|_| flat.clone());
-    assert_eq!(correction(&flat, &flat, &same, &probes), None);
+    assert_eq!(correction(&flat, &flat, &same, &probes, None), None);
     let mut broken = seen(&truth);
     broken.data_mut()[3_000] = f32::NAN;
-    assert_eq!(correction(&broken, &seen(&truth), &probes.map(|_| seen(&given)), &probes), None);
+    assert_eq!(
+        correction(&broken, &seen(&truth), &probes.map(|_| seen(&given)), &probes, None),
+        None
+    );
 }
 
 #[test]
@@ -133,4 +136,31 @@ fn a_world_motion_round_trips_through_its_twist() {
     let motion = Motion::default().plus(&camera_motion(&camera, turned, displaced));
     let (turn, way) = world_motion(&camera, &motion.moved(&camera));
     assert!((turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6, "{turn} {way}");
+}
+
+#[test]
+fn masked_pixels_do_not_move_a_camera() {
+    let camera = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
+    let photograph = seen(&camera);
+    let (width, height) = (photograph.width(), photograph.height());
+    let given = Motion { twist: [0.004, -0.003, 0.002, 0.01, -0.005, 0.015] }.moved(&camera);
+    let render = seen(&given);
+    let probes = probes(&given, DEPTH);
+    let probed = probes.map(|probe| seen(&Motion::default().plus(&probe).moved(&given)));
+    let is_hand = |i: usize| i % width < width / 3;
+    let covered = |colour: f32| {
+        let mut image = photograph.clone();
+        let hand = (0..width * height).filter(|&i| is_hand(i));
+        hand.for_each(|i| image.set(i % width, i / width, [colour; 3]));
+        image
+    };
+    let kept = (0..width * height).map(|i| !is_hand(i)).collect();
+    let kept = Mask::new(width, height, kept);
+    let by = |image: &Image| correction(image, &render, &probed, &probes, Some(&kept));
+    assert!(by(&photograph).is_some());
+    assert_eq!(by(&covered(0.9)), by(&photograph));
+    let apart = |image: &Image| difference(image, &render, Some(&kept));
+    assert_eq!(apart(&covered(0.9)), apart(&photograph));
+    let nothing = Mask::new(width, height, vec![false; width * height]);
+    assert_eq!(correction(&photograph, &render, &probed, &probes, Some(&nothing)), None);
 }

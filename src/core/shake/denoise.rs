@@ -27,7 +27,7 @@ const MEDIAN: f32 = 0.6745;
 /// The `photograph` with less noise and all of its shake. `deblurred` is the same photograph
 /// without shake; both have one size and are encoded by `response`.
 pub fn denoised(photograph: &Image, deblurred: &Image, response: &Response) -> Image {
-    let kernel = estimate(deblurred, photograph, response);
+    let kernel = estimate(deblurred, photograph, response, None);
     let mut clean = shaken_image(deblurred, &kernel, response);
     let values = photograph.data().iter().zip(clean.data());
     let rest: Vec<f32> = values.map(|(photograph, clean)| photograph - clean).collect();

@@ -4,6 +4,7 @@
 //! image.
 
 use crate::image::Image;
+use crate::mask::Mask;
 
 use super::{ALONG, CELLS, Response, ShakeKernel, Tap};
 
@@ -52,34 +53,46 @@ fn reach(longer_side: usize) -> usize {
 }
 
 /// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
-/// with taps up to 2 % of the longer side from its centre; the same in all cells. Still if the
-/// images are too small or too flat for an estimate.
-pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
-    estimated([render, photograph], response, &[Part::WHOLE], PIXELS)
+/// with taps up to 2 % of the longer side from its centre; the same in all cells. Pixels that are
+/// not `kept` do not count. Still if the images are too small or too flat for an estimate.
+pub fn estimate(
+    render: &Image,
+    photograph: &Image,
+    response: &Response,
+    kept: Option<&Mask>,
+) -> ShakeKernel {
+    estimated([render, photograph], kept, response, &[Part::WHOLE], PIXELS)
 }
 
 /// [`estimate`], but a kernel for each cell: when the camera turns about its line of sight, every
 /// corner of the image moves in a direction of its own.
-pub fn estimate_by_cells(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+pub fn estimate_by_cells(
+    render: &Image,
+    photograph: &Image,
+    response: &Response,
+    kept: Option<&Mask>,
+) -> ShakeKernel {
     let is_wide = render.width() >= render.height();
     let cells: [Part; CELLS] = std::array::from_fn(|cell| Part::of_cell(cell, is_wide));
-    estimated([render, photograph], response, &cells, CELLS_PIXELS)
+    estimated([render, photograph], kept, response, &cells, CELLS_PIXELS)
 }
 
 /// The kernel with one estimate for all cells, or with one for each.
 fn estimated(
     [render, photograph]: [&Image; 2],
+    kept: Option<&Mask>,
     response: &Response,
     parts: &[Part],
     pixels: usize,
 ) -> ShakeKernel {
     if render.width().max(render.height()) > LARGEST_SIDE {
         let [render, photograph] = [render, photograph].map(halved);
-        let kernel = estimated([&render, &photograph], response, parts, pixels);
+        let kept = kept.map(|kept| kept.resized(render.width(), render.height()));
+        let kernel = estimated([&render, &photograph], kept.as_ref(), response, parts, pixels);
         return without_faint_taps(&kernel.doubled());
     }
     let [from, to] = [render, photograph].map(|image| Light::of(image, response));
-    solved(&from, &to, parts, pixels)
+    solved([&from, &to], kept, parts, pixels)
 }
 
 /// The means of four pixels each, without an odd last row or column. Of encoded values: the means
@@ -108,13 +121,18 @@ fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
 
 /// The kernel that turns the light of a render into that of its photograph, from about so many
 /// pixels.
-fn solved(from: &Light, to: &Light, parts: &[Part], pixels: usize) -> ShakeKernel {
+fn solved(
+    [from, to]: [&Light; 2],
+    kept: Option<&Mask>,
+    parts: &[Part],
+    pixels: usize,
+) -> ShakeKernel {
     let reach = reach(from.longer_side());
     if from.width.min(from.height) <= 4 * reach + 2 {
         return ShakeKernel::still();
     }
     let price = FAR * (FAR_SIDE / from.longer_side() as f64).min(1.0).powi(2);
-    let (from, to) = (from.derivatives(), to.derivatives());
+    let (from, to) = (from.derivatives(kept), to.derivatives(kept));
     let of_part = |part: &Part| Evidence {
         own: Correlation::new(&from, &from, 2 * reach, pixels, part),
         wanted: Correlation::new(&to, &from, reach, pixels, part),
@@ -237,10 +255,16 @@ impl Light {
         self.width.max(self.height)
     }
 
-    fn derivatives(&self) -> Derivatives {
+    /// 0 where one of the two pixels is not `kept`: a flat place tells nothing.
+    fn derivatives(&self, kept: Option<&Mask>) -> Derivatives {
         let (light, pixels) = (&self.values, self.values.len());
         let difference = |step: usize| -> Vec<f32> {
-            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
+            let next = |i: usize| (i + step).min(pixels - 1);
+            let mut all: Vec<f32> = (0..pixels).map(|i| light[next(i)] - light[i]).collect();
+            if let Some(kept) = kept.map(Mask::pixels) {
+                (0..pixels).filter(|&i| !kept[i] || !kept[next(i)]).for_each(|i| all[i] = 0.0);
+            }
+            all
         };
         let planes = [difference(1), difference(self.width)];
         Derivatives { width: self.width, height: self.height, planes }

@@ -1,7 +1,7 @@
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
-use super::reference::ReferenceShake;
+use super::reference::{ReferenceShake, shaken_image};
 use super::*;
 use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
@@ -167,7 +167,7 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
     let kernel = curve();
     let photograph = noisy(&shaken(&sharp, &kernel, &response));
     for estimate in [estimate, estimate_by_cells] {
-        let found = estimate(&sharp, &photograph, &response);
+        let found = estimate(&sharp, &photograph, &response, None);
         // Far taps have a price, so an estimate is slightly too narrow, and never too wide.
         let wide = found.spread() / kernel.spread();
         assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
@@ -178,7 +178,7 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
         let apart: f32 =
             kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight()).abs()).sum();
         assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
-        let still = estimate(&sharp, &noisy(&sharp), &response);
+        let still = estimate(&sharp, &noisy(&sharp), &response, None);
         assert!(still.spread() < 0.3, "a still photograph: {still:?}");
     }
 }
@@ -194,8 +194,8 @@ fn a_turn_of_the_camera_takes_a_kernel_for_each_cell() {
         let left = |kernel: &ShakeKernel| {
             difference(&shaken(&sharp, kernel, &response), &right, |_, _| true)
         };
-        let one = left(&estimate(&sharp, &photograph, &response));
-        let cells = left(&estimate_by_cells(&sharp, &photograph, &response));
+        let one = left(&estimate(&sharp, &photograph, &response, None));
+        let cells = left(&estimate_by_cells(&sharp, &photograph, &response, None));
         assert!(cells < 0.6 * one, "{cells:.4} with cells, {one:.4} without");
     }
 }
@@ -207,7 +207,7 @@ fn the_shake_of_a_large_photograph_is_found_at_half_its_size() {
     let mut photograph = shaken(&sharp, &kernel, &response);
     let mut random = Pcg64Mcg::seed_from_u64(3);
     photograph.data_mut().iter_mut().for_each(|v| *v += (0.03 * normal(&mut random)) as f32);
-    let found = estimate(&sharp, &photograph, &response);
+    let found = estimate(&sharp, &photograph, &response, None);
     let right = shaken(&sharp, &kernel, &response);
     let apart = |image: &Image| difference(image, &right, |_, _| true);
     let (left, still) = (apart(&shaken(&sharp, &found, &response)), apart(&sharp));
@@ -244,12 +244,12 @@ fn a_smaller_image_is_shaken_by_fewer_pixels() {
 #[test]
 fn uninformative_images_have_no_shake() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
-    assert_eq!(estimate(&flat, &flat, &Response::srgb()), ShakeKernel::still());
+    assert_eq!(estimate(&flat, &flat, &Response::srgb(), None), ShakeKernel::still());
     let small = picture(9, 9);
-    assert_eq!(estimate(&small, &small, &Response::srgb()), ShakeKernel::still());
+    assert_eq!(estimate(&small, &small, &Response::srgb(), None), ShakeKernel::still());
     let mut broken = picture(100, 80);
     broken.data_mut()[500] = f32::NAN;
-    assert_eq!(estimate(&broken, &picture(100, 80), &Response::srgb()), ShakeKernel::still());
+    assert_eq!(estimate(&broken, &picture(100, 80), &Response::srgb(), None), ShakeKernel::still());
     let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap::even([1, 1], weight));
     assert_eq!(ShakeKernel::new(bad.to_vec()), ShakeKernel::still());
 }
@@ -321,4 +321,24 @@ fn denoising_keeps_shake_and_what_deblurring_got_wrong() {
     }
     let kept = difference(&denoised(&photograph, &wrong, &response), &blurred, is_wrong);
     assert!(kept < 1.3 * NOISE, "{kept:.4}");
+}
+
+#[test]
+fn masked_pixels_tell_nothing_of_the_shake() {
+    let response = Response::srgb();
+    let sharp = picture(160, 120);
+    let taps = (-3..=3).map(|x| Tap::even([x, 0], 1.0)).collect();
+    let mut photograph = shaken_image(&sharp, &ShakeKernel::new(taps), &response);
+    // A still hand with strong edges covers a third.
+    let is_hand = |i: usize| i % 160 < 53;
+    for i in (0..160 * 120).filter(|&i| is_hand(i)) {
+        let stripe = if (i % 160 / 3 + i / 160 / 4).is_multiple_of(2) { 0.95 } else { 0.02 };
+        photograph.set(i % 160, i / 160, [stripe; 3]);
+    }
+    let kept = (0..160 * 120).map(|i| !is_hand(i)).collect();
+    let kept = crate::mask::Mask::new(160, 120, kept);
+    let found = estimate(&sharp, &photograph, &response, Some(&kept)).elongation();
+    let misled = estimate(&sharp, &photograph, &response, None).elongation();
+    assert!((found - 2.0).abs() < 0.4, "{found} px, {misled} px with the hand");
+    assert!((misled - 2.0).abs() > (found - 2.0).abs(), "{found} px, {misled} px with the hand");
 }

@@ -60,7 +60,13 @@ impl Workload {
         let view = |index: usize| -> Result<TrainingView, BenchError> {
             let camera = camera(index, size);
             let image = renderer.render_scene(&uploaded, &camera)?;
-            Ok(TrainingView { has_kernel: true, name: index.to_string(), camera, image })
+            Ok(TrainingView {
+                has_kernel: true,
+                name: index.to_string(),
+                camera,
+                image,
+                mask: None,
+            })
         };
         let views = (0..VIEWS).map(view).collect::<Result<_, _>>()?;
         Ok(Self::new(format!("{}x{}, {gaussians} Gaussians", size.0, size.1), views, scene))
@@ -86,6 +92,7 @@ impl Workload {
                 name: named.name.clone(),
                 camera: normalisation.within(&named.camera()),
                 image,
+                mask: None,
             })
         };
         let trained = cameras.iter().filter(|named| named.split == Split::Train);

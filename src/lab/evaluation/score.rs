@@ -3,8 +3,8 @@
 use rayon::prelude::*;
 
 use super::report::{Scores, ViewScores};
-use super::seen::Mask;
 use fled_core::image::Image;
+use fled_core::mask::Mask;
 use fled_core::metrics::{self, ColourFit};
 
 /// Standard deviation of the Gaussian that removes detail finer than 3 px, px.
@@ -28,14 +28,14 @@ pub(super) fn scores(
 
 /// The scores over the pixels of a mask; `None` without any.
 fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
-    let ssim = metrics::ssim_where(render, truth, |x, y| mask.holds(x, y))?;
+    let of = metrics::Scores::of(render, truth, Some(mask))?;
     let (kept, reference) = (mask.pixels_of(render), mask.pixels_of(truth));
     let fit = ColourFit::between(&kept, &reference);
     Some(Scores {
-        psnr_db: metrics::psnr(&kept, &reference),
-        psnr_cc_db: metrics::psnr_colour_corrected(&kept, &reference),
+        psnr_db: of.psnr_db,
+        psnr_cc_db: of.psnr_cc_db,
         psnr_fine_db: fine(&fit.apply(render), truth, mask),
-        ssim,
+        ssim: of.ssim,
         lpips_squeeze: None,
     })
 }

@@ -8,7 +8,7 @@ use super::error::EvaluationError;
 use super::subject::Subject;
 use fled_core::camera::Camera;
 use fled_core::gaussians::Gaussians;
-use fled_core::image::Image;
+use fled_core::mask::Mask;
 use fled_core::render::Renderer;
 
 /// Number of training views that must see a pixel.
@@ -17,69 +17,6 @@ const LEAST_VIEWS: usize = 2;
 const DEEPER: f64 = 1.1;
 /// Least coverage of a surface.
 const LEAST_COVERAGE: f32 = 0.5;
-
-/// A subset of a picture's pixels.
-pub(super) struct Mask {
-    width: usize,
-    height: usize,
-    holds: Vec<bool>,
-}
-
-impl Mask {
-    /// `holds` has the picture's pixels row by row.
-    pub(super) fn new(width: usize, height: usize, holds: Vec<bool>) -> Self {
-        assert_eq!(holds.len(), width * height, "a mask of another size");
-        Self { width, height, holds }
-    }
-
-    /// All pixels.
-    pub(super) fn full(width: usize, height: usize) -> Self {
-        Self::new(width, height, vec![true; width * height])
-    }
-
-    /// The intersection of both masks.
-    pub(super) fn and(&self, other: &Self) -> Self {
-        let both = self.holds.iter().zip(&other.holds).map(|(a, b)| *a && *b);
-        Self::new(self.width, self.height, both.collect())
-    }
-
-    /// `image`, with the pixels of `other` outside the mask.
-    pub(super) fn composite(&self, image: &Image, other: &Image) -> Image {
-        let holds = self.holds.iter().cycle();
-        let values = image.data().iter().zip(other.data()).zip(holds);
-        let values =
-            values.map(|((inside, outside), holds)| if *holds { *inside } else { *outside });
-        Image::from_planar(self.width, self.height, values.collect())
-    }
-
-    pub(super) fn holds(&self, x: usize, y: usize) -> bool {
-        self.holds[y * self.width + x]
-    }
-
-    /// Share of the picture's pixels.
-    pub(super) fn share(&self) -> f64 {
-        self.count() as f64 / self.holds.len().max(1) as f64
-    }
-
-    /// The pixels of a picture within the mask, in one row.
-    pub(super) fn pixels_of(&self, image: &Image) -> Image {
-        assert_eq!(
-            (image.width(), image.height()),
-            (self.width, self.height),
-            "picture and mask: sizes differ"
-        );
-        let of_plane = |plane: usize| {
-            let values = image.plane(plane).iter().zip(&self.holds);
-            values.filter(|(_, holds)| **holds).map(|(value, _)| *value)
-        };
-        let values = (0..3).flat_map(of_plane).collect();
-        Image::from_planar(self.count(), 1, values)
-    }
-
-    fn count(&self) -> usize {
-        self.holds.iter().filter(|holds| **holds).count()
-    }
-}
 
 /// The training views of a run, with the depths that they see.
 pub(super) struct Witnesses<'a> {

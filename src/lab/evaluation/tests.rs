@@ -89,6 +89,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
             height: SIZE[1],
             focal_px: None,
             gt: None,
+            masking: None,
         };
         let posed = PosedView {
             name: named.name,

@@ -6,10 +6,11 @@ use glam::DVec3;
 
 use fled_core::camera::{Camera, Split};
 use fled_core::cancel::CancelToken;
-use fled_core::capture::{Capture, CaptureError, CaptureView};
+use fled_core::capture::{Capture, CaptureError, CaptureView, masks_in};
 use fled_core::dataset::GivenPoses;
 use fled_core::event::Silent;
 use fled_core::image::Image;
+use fled_core::mask::{Mask, Masking};
 use fled_core::pipeline::error::PipelineError;
 use fled_core::pipeline::poses::pose_view;
 use fled_core::pipeline::views::{self, working_size};
@@ -17,7 +18,6 @@ use fled_core::poses::align::Similarity;
 use fled_core::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
 
 use super::error::EvaluationError;
-use super::seen::Mask;
 use super::subject::Subject;
 
 /// Fewest shared cameras that determine the similarity of two worlds.
@@ -50,20 +50,27 @@ impl Placed<'_> {
         self.posed.camera.resized(width, height)
     }
 
-    /// The mask of the photograph: the white pixels of the picture of the same name in `folder`, at
-    /// the working size.
+    /// The mask of the photograph: the pixels that those of its pictures in `folder` leave, at the
+    /// working size.
     ///
     /// # Errors
-    /// [`EvaluationError::NoMask`]; a picture that cannot be read.
+    /// [`EvaluationError::NoMask`]; a picture that cannot be read or has another shape.
     pub(super) fn mask(&self, folder: &Path, size: usize) -> Result<Mask, EvaluationError> {
-        let file = folder.join(format!("{}.png", self.photograph.path.stem()));
-        if !file.exists() {
-            return Err(EvaluationError::NoMask { path: file });
-        }
-        let picture = CaptureView { file, gt: None, ..self.photograph.clone() };
-        let mask = views::view(&picture, &self.posed, Split::HeldOut, size)?.dark;
-        let holds = mask.plane(0).iter().map(|&v| v > 0.5).collect();
-        Ok(Mask::new(mask.width(), mask.height(), holds))
+        let path = &self.photograph.path;
+        let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
+        let mut all = masks_in(folder, std::slice::from_ref(path)).map_err(fault)?;
+        let Some(pictures) = all.remove(path) else {
+            return Err(EvaluationError::NoMask {
+                path: folder.join(format!("{}.png", path.stem())),
+            });
+        };
+        let masking = Masking { pictures, alpha: false, photograph: self.photograph.file.clone() };
+        let k = self.camera(size).intrinsics;
+        let undistorted = |shares: &Image<_>| self.posed.undistort(shares);
+        masking.load((k.width, k.height), undistorted).map_err(|source| {
+            let name = format!("the mask of {path}");
+            EvaluationError::Pipeline(PipelineError::Photograph { name, source })
+        })
     }
 
     /// The photograph at the working size.

@@ -28,6 +28,7 @@ fn copies(count: usize, share: usize) -> Copies {
     Copies {
         dir: "copies".into(),
         copies: (0..count).map(copy).collect(),
+        masks: vec![None; count].into(),
         one_camera: true,
         zooms: 0,
     }

@@ -66,6 +66,7 @@ fn register(name: &str) {
             path: PhotoPath::default(),
             file: file.clone(),
             focal_px: None,
+            masking: None,
         })
         .collect();
     let mut faults = Vec::new();

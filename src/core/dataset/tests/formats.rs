@@ -381,6 +381,7 @@ fn names_may_hold_dots_and_lack_an_extension() {
             path: PhotoPath::new(&format!("images/scan.{i}.png")),
             file,
             focal_px: None,
+            masking: None,
         }
     });
     let views: Vec<PoseView> = dotted.collect();

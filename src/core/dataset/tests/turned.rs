@@ -63,7 +63,13 @@ impl Stored {
             let file = dir.path().join(format!("{name}.png"));
             let orientation = orientations[index % orientations.len()];
             write_png(&file, orientation, size, &vec![90; size.0 * size.1]);
-            PoseView { path: PhotoPath::new(&format!("{name}.png")), name, file, focal_px: None }
+            PoseView {
+                path: PhotoPath::new(&format!("{name}.png")),
+                name,
+                file,
+                focal_px: None,
+                masking: None,
+            }
         };
         let pose = |index: usize| {
             let eye = DVec3::new(index as f64 - 1.5, 0.3 * index as f64, -4.0);

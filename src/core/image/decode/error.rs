@@ -68,6 +68,9 @@ pub enum ImageError {
         /// What the decoder said.
         message: String,
     },
+    /// A mask that is not of its photograph's shape.
+    #[error("it has other proportions than its photograph")]
+    OtherShape,
     /// The picture does not fit the format that it should be written in.
     #[error("cannot be encoded: {message}")]
     Encode {

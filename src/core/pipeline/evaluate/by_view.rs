@@ -71,7 +71,7 @@ mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics, Split};
     use crate::image::Image;
-    use crate::pipeline::evaluate::records::Scores;
+    use crate::metrics::Scores;
 
     const SIDE: usize = 8;
 
@@ -90,6 +90,7 @@ mod tests {
             camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
             dark: Image::new(SIDE, SIDE),
             gt,
+            mask: None,
             split,
             is_late: false,
         }

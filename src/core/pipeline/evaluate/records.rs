@@ -5,29 +5,8 @@ use rayon::prelude::*;
 use super::images::{RoundImages, TargetImages};
 use crate::camera::Split;
 use crate::image::Image;
-use crate::metrics::{self, Brightness, ImageKind, Record, Reference};
+use crate::metrics::{Brightness, ImageKind, Record, Reference, Scores};
 use crate::pipeline::views::View;
-
-/// The scores of an image against its reference.
-#[derive(Clone, Copy, Debug)]
-pub struct Scores {
-    /// PSNR, dB.
-    pub psnr_db: f64,
-    /// PSNR after an affine colour fit of each channel, dB.
-    pub psnr_cc_db: f64,
-    /// SSIM.
-    pub ssim: f64,
-}
-
-impl Scores {
-    fn of(image: &Image, reference: &Image) -> Self {
-        Self {
-            psnr_db: metrics::psnr(image, reference),
-            psnr_cc_db: metrics::psnr_colour_corrected(image, reference),
-            ssim: metrics::ssim(image, reference),
-        }
-    }
-}
 
 /// One kind of image against one kind of reference, at one brightness.
 #[derive(Clone, Debug)]
@@ -35,7 +14,7 @@ pub struct Comparison {
     pub image: ImageKind,
     pub reference: Reference,
     pub brightness: Brightness,
-    /// Scores by view; `None` where a view has no such reference.
+    /// Scores by view; `None` where a view has no such reference, or no pixel of it counts.
     pub scores: Vec<Option<Scores>>,
 }
 
@@ -50,7 +29,7 @@ pub fn comparisons(
     let compare = |image, reference, brightness, set: &[Image], against: &References<'_>| {
         let scores = (0..views.len()).into_par_iter().map(|view| {
             let reference = against(view)?;
-            Some(Scores::of(&set[view], reference))
+            Scores::of(&set[view], reference, views[view].mask.as_ref())
         });
         Comparison { image, reference, brightness, scores: scores.collect() }
     };

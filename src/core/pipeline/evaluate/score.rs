@@ -1,9 +1,12 @@
 //! The score by which rounds are compared.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use crate::camera::Split;
 use crate::image::Image;
+use crate::mask::{Mask, counted};
 use crate::metrics;
 use crate::pipeline::views::View;
 use crate::shake::reference::shaken_image;
@@ -27,18 +30,27 @@ pub struct Likeness {
 /// The likeness of every render. Each is first shaken as its view is, or the sharper of two scenes
 /// would look like the worse one. This also applies to a scene trained without kernels, whose views
 /// are no less shaken.
-pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
-    let of = |(render, view): (&Image, &Image)| {
-        let kernel = shake::estimate(render, view, response);
+pub fn likenesses(
+    renders: &[Image],
+    target: &[Image],
+    masks: &[Option<&Mask>],
+    response: &Response,
+) -> Vec<Likeness> {
+    let of = |((render, view), mask): ((&Image, &Image), &Option<&Mask>)| {
+        let kernel = shake::estimate(render, view, response, *mask);
         let shaken = shaken_image(render, &kernel, response);
+        let [kept, reference] = [&shaken, view].map(|image| counted(image, *mask));
+        // Structures that are the same add no difference.
+        let filled =
+            mask.map_or(Cow::Borrowed(view), |mask| Cow::Owned(mask.composite(view, &shaken)));
         Likeness {
             shake_px: kernel.spread(),
             is_shaken: kernel.significance(view.width().max(view.height())) >= 1.0,
-            psnr_cc_db: metrics::psnr_colour_corrected(&shaken, view),
-            fit: metrics::correlation(&shaken, view),
+            psnr_cc_db: metrics::psnr_colour_corrected(&kept, &reference),
+            fit: metrics::correlation(&shaken, &filled),
         }
     };
-    renders.par_iter().zip(target).map(of).collect()
+    renders.par_iter().zip(target).zip(masks).map(of).collect()
 }
 
 /// Mean colour-fitted PSNR of the likenesses, dB, over the held-out views if there are any, and
@@ -105,13 +117,14 @@ mod tests {
             camera,
             dark: sharp(),
             gt: None,
+            mask: None,
             split: Split::HeldOut,
             is_late: false,
         };
         let target = [blurred(&sharp(), 1)];
         let of = |render: &Image| {
             let renders = std::slice::from_ref(render);
-            let likenesses = likenesses(renders, &target, &Response::srgb());
+            let likenesses = likenesses(renders, &target, &[None], &Response::srgb());
             score(std::slice::from_ref(&view), &likenesses)
         };
         let (sharp, soft) = (sharp(), blurred(&sharp(), 2));

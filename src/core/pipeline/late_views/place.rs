@@ -11,6 +11,7 @@ use crate::capture::CaptureView;
 use crate::colmap::brightened;
 use crate::event::Stage;
 use crate::image::{EncodeFormat, Image, read_header};
+use crate::mask::Mask;
 use crate::pipeline::config::Options;
 use crate::pipeline::context::{Advance, Context};
 use crate::pipeline::error::PipelineError;
@@ -48,6 +49,8 @@ pub struct Placed {
     pub camera: Camera,
     /// The photograph at the round's brightness and working size.
     pub image: Image,
+    /// The pixels of it that count.
+    pub mask: Option<Mask>,
     /// Key points shared with renders.
     pub matches: usize,
     /// Matches that agree with the place.
@@ -97,7 +100,7 @@ pub fn place(
         context.advance(Stage::Poses, number, Advance { done, total, per_second });
     };
     let pairs = Pairs::Across(queries.len());
-    let found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
+    let mut found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
         Ok(found) => found,
         Err(error) if error.is_about_the_tool() => {
             let message = format!("photographs without a pose cannot be placed: {error}");
@@ -106,6 +109,9 @@ pub fn place(
         }
         Err(error) => return Err(error.into()),
     };
+    let is_masked =
+        |query: &Query, point| query.view.mask.as_ref().is_some_and(|mask| !mask.holds_at(point));
+    found.retain(|at, point| !queries.get(at).is_some_and(|query| is_masked(query, point)));
     let sightings = scene.sightings(&found, queries.len(), &references);
     let mut placed = Vec::new();
     for (query, sightings) in queries.into_iter().zip(&sightings) {
@@ -162,12 +168,12 @@ impl Scene<'_> {
         references: &[usize],
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = context.workspace.folder().work().late_views();
-        let dark = queries.iter().map(|query| &query.view.dark);
-        let renders = references.iter().map(|&index| &self.finished.renders[index]);
-        let write = |(index, image): (usize, &Image)| {
+        let dark = queries.iter().map(|query| (&query.view.dark, query.view.mask.as_ref()));
+        let renders = references.iter().map(|&index| (&self.finished.renders[index], None));
+        let write = |(index, (image, mask)): (usize, (&Image, Option<&Mask>))| {
             context.cancel.check()?;
             let path = folder.join(format!("{index:05}.png"));
-            pictures::write(context.workspace, &path, &brightened(image), EncodeFormat::Png)?;
+            pictures::write(context.workspace, &path, &brightened(image, mask), EncodeFormat::Png)?;
             Ok(path)
         };
         dark.chain(renders).enumerate().map(write).collect()
@@ -225,6 +231,7 @@ impl Scene<'_> {
             posed: PosedView { camera, ..posed },
             camera: found.camera,
             image: tone.apply(&view.dark),
+            mask: view.mask,
             matches: sightings.len(),
             agreeing,
             error_px: found.rms_px,

@@ -86,6 +86,7 @@ fn copy(
         path: view.path.clone(),
         file,
         focal_px: view.focal_px.map(|focal| focal * scale),
+        masking: view.masking.clone(),
     })
 }
 

@@ -230,6 +230,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         height: 64,
         focal_px: None,
         gt: None,
+        masking: None,
     };
     warn(&mut sink, &poses, &[view]);
     assert_eq!(

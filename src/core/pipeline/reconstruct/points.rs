@@ -2,6 +2,7 @@
 
 use crate::camera::Split;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::pipeline::views::View;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::Point;
@@ -17,6 +18,10 @@ pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
             .filter(|(view, _)| view.split == Split::Train)
             .filter_map(|(view, image)| {
                 let (pixel, _) = view.camera.shows(position.into())?;
+                let hides = |mask: &Mask| !mask.holds(pixel.x as usize, pixel.y as usize);
+                if view.mask.as_ref().is_some_and(hides) {
+                    return None;
+                }
                 Some(image.get(pixel.x as usize, pixel.y as usize))
             })
             .collect()

@@ -10,7 +10,8 @@ use crate::camera::{Camera, Split};
 use crate::enhance::spread_indices;
 use crate::event::Event;
 use crate::image::Image;
-use crate::metrics;
+use crate::mask::Mask;
+use crate::metrics::Scores;
 use crate::pipeline::context::Context;
 use crate::pipeline::pictures;
 use crate::pipeline::round::Round;
@@ -65,6 +66,7 @@ pub struct Watch<'a> {
 struct Compared {
     camera: Camera,
     reference: Image,
+    mask: Option<Mask>,
 }
 
 impl<'a> Watch<'a> {
@@ -123,14 +125,14 @@ impl<'a> Watch<'a> {
         for compared in &self.compared {
             renders.push(look.render(&compared.camera)?);
         }
-        let scores: Vec<(f64, f64)> = renders
+        let scores: Vec<Scores> = renders
             .par_iter()
             .zip(&self.compared)
-            .map(|(render, compared)| self.compare(render, &compared.reference))
+            .filter_map(|(render, compared)| self.compare(render, compared))
             .collect();
         let mean =
-            |of: fn(&(f64, f64)) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
-        let (psnr_cc_db, ssim) = (mean(|scores| scores.0), mean(|scores| scores.1));
+            |of: fn(&Scores) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+        let (psnr_cc_db, ssim) = (mean(|scores| scores.psnr_cc_db), mean(|scores| scores.ssim));
         // A diverged scene has no finite score, and JSON no other numbers.
         if psnr_cc_db.is_finite() && ssim.is_finite() {
             context.sink.event(&Event::HeldOutSeen {
@@ -148,17 +150,17 @@ impl<'a> Watch<'a> {
 
     /// PSNR after a colour fit and SSIM, as in the evaluation of a round: of the render at the
     /// target brightness against ground truth, or of the shaken render against the enhanced view.
-    fn compare(&self, render: &Image, reference: &Image) -> (f64, f64) {
+    fn compare(&self, render: &Image, compared: &Compared) -> Option<Scores> {
+        let (reference, mask) = (&compared.reference, compared.mask.as_ref());
         let response = &self.round.response;
         let render = render.map(|value| value.clamp(0.0, 1.0));
-        let compared = if self.truth {
+        let seen = if self.truth {
             render.map(|value| self.target.value(response.light(f64::from(value))) as f32)
         } else {
-            let kernel = shake::estimate(&render, reference, response);
+            let kernel = shake::estimate(&render, reference, response, mask);
             shaken_image(&render, &kernel, response)
         };
-        let psnr = metrics::psnr_colour_corrected(&compared, reference);
-        (psnr, metrics::ssim(&compared, reference))
+        Scores::of(&seen, reference, mask)
     }
 
     fn picture(
@@ -195,6 +197,7 @@ impl Compared {
         Self {
             camera: view.camera.resized(width, height),
             reference: reference.resize_area(width, height),
+            mask: view.mask.as_ref().map(|mask| mask.resized(width, height)),
         }
     }
 }

@@ -7,6 +7,7 @@ use super::ForwardModel;
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::observed::Observed;
 use crate::reconstruct::schedule::reduced_size;
@@ -20,6 +21,8 @@ const LARGEST_SIDE: usize = 640;
 /// A view's photograph and renders before its camera is corrected.
 struct Probed {
     photograph: Image,
+    /// The pixels that count.
+    kept: Option<Mask>,
     render: Image,
     probed: [Image; 6],
     probes: [[f64; 6]; 6],
@@ -27,13 +30,14 @@ struct Probed {
 
 impl Probed {
     fn correction(&self) -> Option<[f64; 6]> {
-        register::correction(&self.photograph, &self.render, &self.probed, &self.probes)
+        let Self { photograph, kept, render, probed, probes } = self;
+        register::correction(photograph, render, probed, probes, kept.as_ref())
     }
 
     /// Whether `render` is nearer to the photograph.
     fn is_worse_than(&self, render: &Image) -> bool {
-        register::difference(&self.photograph, render)
-            < register::difference(&self.photograph, &self.render)
+        let to = |render| register::difference(&self.photograph, render, self.kept.as_ref());
+        to(render) < to(&self.render)
     }
 }
 
@@ -145,7 +149,9 @@ impl ForwardModel<'_> {
         }
         let probed =
             probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;
-        Ok(Probed { photograph: self.views[view].photograph(size), render, probed, probes })
+        let view = &self.views[view];
+        let (photograph, kept) = (view.photograph(size), view.mask(size));
+        Ok(Probed { photograph, kept, render, probed, probes })
     }
 
     fn set_motions(&mut self, motions: impl IntoIterator<Item = Motion>) {

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::ForwardModel;
 use crate::cancel::CancelToken;
 use crate::image::Image;
+use crate::mask::Mask;
 use crate::reconstruct::ReconstructError;
 use crate::shake::{self, DeviceKernel, ShakeKernel};
 
@@ -31,14 +32,17 @@ impl ForwardModel<'_> {
                 let camera = *self.views[view].camera();
                 renders.push(self.render(&camera, degree)?);
             }
-            let photographs: Vec<Image> = some
-                .iter()
-                .map(|&view| self.views[view].photograph(self.views[view].size()))
-                .collect();
+            let seen = some.iter().map(|&view| {
+                let view = &self.views[view];
+                (view.photograph(view.size()), view.mask(view.size()))
+            });
+            let seen: Vec<(Image, Option<Mask>)> = seen.collect();
             let kernels: Vec<ShakeKernel> = renders
                 .par_iter()
-                .zip(&photographs)
-                .map(|(render, photograph)| shake::estimate_by_cells(render, photograph, &response))
+                .zip(&seen)
+                .map(|(render, (photograph, kept))| {
+                    shake::estimate_by_cells(render, photograph, &response, kept.as_ref())
+                })
                 .collect();
             for (&view, kernel) in some.iter().zip(kernels) {
                 self.set_kernel(view, kernel)?;

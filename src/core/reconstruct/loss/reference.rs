@@ -45,6 +45,22 @@ pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> ReferenceLoss {
     result
 }
 
+/// [`loss`] without the pixels, row by row, that are not `kept`: there the prediction is taken to
+/// be the target, and its gradient is 0.
+pub fn masked_loss(
+    prediction: &[f64],
+    target: &[f64],
+    kept: &[bool],
+    width: usize,
+) -> ReferenceLoss {
+    let pixels = prediction.iter().zip(target).zip(kept.iter().cycle());
+    let filled: Vec<f64> = pixels.map(|((p, t), kept)| if *kept { *p } else { *t }).collect();
+    let mut result = loss(&filled, target, width);
+    let gradients = result.gradient.iter_mut().zip(kept.iter().cycle());
+    gradients.filter(|(_, kept)| !**kept).for_each(|(gradient, _)| *gradient = 0.0);
+    result
+}
+
 /// Adds the sums and appends the gradient of one channel, not yet divided by the number of values.
 fn add_plane(result: &mut ReferenceLoss, x: &[f64], y: &[f64], width: usize) {
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
@@ -125,6 +141,34 @@ mod tests {
             });
             prediction[i] = at;
         }
+    }
+
+    #[test]
+    fn the_masked_gradient_matches_central_differences() {
+        let (mut prediction, target) = (waves(0.71), waves(0.53));
+        let kept: Vec<bool> = (0..WIDTH * HEIGHT).map(|i| i % WIDTH > 4 && i % 7 != 0).collect();
+        let gradient = masked_loss(&prediction, &target, &kept, WIDTH).gradient;
+        for i in (0..prediction.len()).step_by(5) {
+            let at = prediction[i];
+            assert_derivative(&format!("value {i}"), gradient[i], at, |value| {
+                prediction[i] = value;
+                masked_loss(&prediction, &target, &kept, WIDTH).total()
+            });
+            prediction[i] = at;
+            assert_eq!(gradient[i] == 0.0, !kept[i % (WIDTH * HEIGHT)], "value {i}");
+        }
+    }
+
+    #[test]
+    fn what_is_masked_has_no_part_in_the_loss() {
+        let (prediction, target) = (waves(0.71), waves(0.53));
+        let kept: Vec<bool> = (0..WIDTH * HEIGHT).map(|i| i % WIDTH > 4).collect();
+        let other = prediction.iter().zip(kept.iter().cycle());
+        let other: Vec<f64> = other.map(|(p, kept)| if *kept { *p } else { 1.0 - p }).collect();
+        let of = |prediction: &[f64]| masked_loss(prediction, &target, &kept, WIDTH);
+        assert_eq!(of(&prediction), of(&other));
+        let nothing = masked_loss(&prediction, &target, &[false; WIDTH * HEIGHT], WIDTH);
+        assert!(nothing.total().abs() < 1e-12);
     }
 
     #[test]

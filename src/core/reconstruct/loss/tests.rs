@@ -31,13 +31,19 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
     (gradient.read().expect("read"), loss.value().expect("read"))
 }
 
-/// The reference for the packed target.
-fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
+/// The values of a prediction and of the packed target.
+fn as_f64(prediction: &Image, target: &Image) -> (Vec<f64>, Vec<f64>) {
     let p: Vec<f64> = prediction.data().iter().map(|&v| f64::from(v)).collect();
     let words = pack_target(target);
-    let t: Vec<f64> = (0..p.len())
+    let t = (0..p.len())
         .map(|i| f64::from(words[i / 2] >> (16 * (i % 2)) & 0xffff) / 65535.0)
         .collect();
+    (p, t)
+}
+
+/// The reference for the packed target.
+fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
+    let (p, t) = as_f64(prediction, target);
     reference::loss(&p, &t, target.width())
 }
 
@@ -66,6 +72,57 @@ fn the_kernels_match_the_reference_at_odd_sizes() {
             );
         }
     }
+}
+
+/// Holds neither the left quarter nor every seventh pixel.
+fn mask(width: usize, height: usize) -> Mask {
+    let holds = |i: usize| 4 * (i % width) >= width && !i.is_multiple_of(7);
+    Mask::new(width, height, (0..width * height).map(holds).collect())
+}
+
+#[test]
+fn the_masked_kernels_match_the_reference_at_odd_sizes() {
+    for (width, height, run) in [(281, 161, 32), (13, 7, 32), (3, 50, 8)] {
+        let (prediction, target) = pictures(width, height);
+        let mask = mask(width, height);
+        let gpu = gpu();
+        let loss = Loss::with_run(&gpu, width, height, run).expect("buffers");
+        let loss = loss.with_masks(&gpu).expect("buffers");
+        let packed = upload_target(&gpu, &target).expect("upload");
+        let kept = upload_mask(&gpu, &mask).expect("upload");
+        let input = gpu.upload("prediction", prediction.data()).expect("upload");
+        let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
+        let mut recorder = gpu.recorder();
+        let recorded = loss.record_masked(&mut recorder, &input, [&packed, &kept], &gradient);
+        recorded.expect("recorded");
+        recorder.submit().expect("submitted");
+        let (gradient, value) = (gradient.read().expect("read"), loss.value().expect("read"));
+        let (p, t) = as_f64(&prediction, &target);
+        let expected = reference::masked_loss(&p, &t, mask.pixels(), width);
+        let what = format!("gradient at {width}x{height}");
+        assert_agrees(&what, &gradient, &expected.gradient, 1e-3);
+        assert!((value.total - expected.total()).abs() < 1e-5, "{value:?}, {}", expected.total());
+        assert!((value.squared - expected.squared).abs() < 1e-5, "{value:?}");
+        assert_eq!(input.read().expect("read"), prediction.data(), "the render stays as it is");
+    }
+}
+
+#[test]
+fn a_masked_loss_needs_room_and_a_whole_mask() {
+    let gpu = gpu();
+    let loss = Loss::new(&gpu, 20, 10).expect("buffers");
+    let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
+    let kept = upload_mask(&gpu, &Mask::full(20, 10)).expect("upload");
+    let values = gpu.create("values", 600).expect("buffer");
+    let refused = |loss: &Loss, kept: &Buffer<u32>| {
+        let mut recorder = gpu.recorder();
+        let recorded = loss.record_masked(&mut recorder, &values, [&target, kept], &values);
+        matches!(recorded, Err(GpuError::Validation(_)))
+    };
+    assert!(refused(&loss, &kept));
+    let loss = loss.with_masks(&gpu).expect("buffers");
+    let short = upload_mask(&gpu, &Mask::full(20, 5)).expect("upload");
+    assert!(refused(&loss, &short));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! One step: the scene, its shake and its noise forward, the loss, and the backward pass.
 
-use fled_gpu::{GpuError, Recorder};
+use fled_gpu::{Buffer, GpuError, Recorder};
 use rand::RngExt;
 
 use super::Trainer;
@@ -62,8 +62,13 @@ impl Trainer<'_> {
 
     fn record(&mut self, index: usize) -> Result<Recorder, GpuError> {
         let target = self.model.views[index].target(self.gpu)?;
+        let kept = self.model.views[index].kept(self.gpu)?;
         let (pass, view) = (&self.model.pass, &self.model.views[index]);
         let (buffers, loss) = (pass.buffers(), self.level.loss(view));
+        let compare = |recorder: &mut Recorder, prediction: &Buffer<f32>| match &kept {
+            None => loss.record(recorder, prediction, &target, &self.gradient),
+            Some(kept) => loss.record_masked(recorder, prediction, [&target, kept], &self.gradient),
+        };
         let shaken = self.model.shake.as_ref().zip(view.kernel.as_ref());
         let mut recorder = pass.recorder()?;
         let mut clean = &buffers.image;
@@ -75,7 +80,7 @@ impl Trainer<'_> {
             Some(noise) => {
                 noise.begin_step(view.camera())?;
                 noise.record_forward(&mut recorder, clean, &self.prediction)?;
-                loss.record(&mut recorder, &self.prediction, &target, &self.gradient)?;
+                compare(&mut recorder, &self.prediction)?;
                 let (counters, total_at) = buffers.totals();
                 let limit = IntersectionLimit {
                     counters,
@@ -84,7 +89,7 @@ impl Trainer<'_> {
                 };
                 noise.record_backward(&mut recorder, &self.gradient, &limit)?;
             }
-            None => loss.record(&mut recorder, clean, &target, &self.gradient)?,
+            None => compare(&mut recorder, clean)?,
         }
         let mut by_render = &self.gradient;
         if let Some((shake, kernel)) = shaken {

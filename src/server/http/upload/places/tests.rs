@@ -121,6 +121,7 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
         path: view.path.clone(),
         file: view.file.clone(),
         focal_px: None,
+        masking: None,
     };
     let views: Vec<PoseView> = capture.views.iter().map(view).collect();
     let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0 };

@@ -1,0 +1,220 @@
+//! Masks: the pixels of a picture that count.
+//!
+//! A mask comes with a capture, as a picture of its own or as a photograph's alpha ([`Masking`]),
+//! or with an evaluation. Masked pixels are of no consequence for poses, training and scores.
+
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+
+use crate::image::shares::{self, Shares};
+use crate::image::{Image, ImageError, Linear, Orientation, read_header};
+
+/// Least share of a pixel's area that is not masked, for it to count: a resized pixel mixes the
+/// colours of its area. All of it, but for rounding.
+const LEAST_SHARE: f32 = 0.999;
+
+/// A subset of a picture's pixels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    width: usize,
+    height: usize,
+    holds: Vec<bool>,
+}
+
+impl Mask {
+    /// `holds` has the picture's pixels row by row.
+    ///
+    /// # Panics
+    /// When the length is not `width * height`: a fault of the caller.
+    pub fn new(width: usize, height: usize, holds: Vec<bool>) -> Self {
+        assert_eq!(holds.len(), width * height, "a mask of another size");
+        Self { width, height, holds }
+    }
+
+    /// All pixels.
+    pub fn full(width: usize, height: usize) -> Self {
+        Self::new(width, height, vec![true; width * height])
+    }
+
+    /// The pixels that count as a whole, by the share of each that does.
+    pub fn of_shares<E>(shares: &Image<E>) -> Self {
+        let holds = shares.plane(0).iter().map(|share| *share >= LEAST_SHARE);
+        Self::new(shares.width(), shares.height(), holds.collect())
+    }
+
+    /// The intersection of both masks.
+    #[must_use]
+    pub fn and(&self, other: &Self) -> Self {
+        let both = self.holds.iter().zip(&other.holds).map(|(a, b)| *a && *b);
+        Self::new(self.width, self.height, both.collect())
+    }
+
+    /// At another size of the same aspect.
+    #[must_use]
+    pub fn resized(&self, width: usize, height: usize) -> Self {
+        if (width, height) == (self.width, self.height) {
+            return self.clone();
+        }
+        Self::of_shares(&self.picture().resize_area(width, height))
+    }
+
+    /// `image`, with the pixels of `other` outside the mask.
+    pub fn composite(&self, image: &Image, other: &Image) -> Image {
+        let holds = self.holds.iter().cycle();
+        let values = image.data().iter().zip(other.data()).zip(holds);
+        let values =
+            values.map(|((inside, outside), holds)| if *holds { *inside } else { *outside });
+        Image::from_planar(self.width, self.height, values.collect())
+    }
+
+    /// As a picture: white where it holds a pixel, else black.
+    pub fn picture(&self) -> Image {
+        let plane = self.holds.iter().map(|&holds| f32::from(u8::from(holds)));
+        let plane: Vec<f32> = plane.collect();
+        Image::from_planar(self.width, self.height, plane.repeat(3))
+    }
+
+    /// Whether it holds the pixel at x and y.
+    pub fn holds(&self, x: usize, y: usize) -> bool {
+        self.holds[y * self.width + x]
+    }
+
+    /// Whether it holds the pixel around a point, px from the left and top edge; not outside.
+    pub fn holds_at(&self, [x, y]: [f32; 2]) -> bool {
+        let inside = x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32;
+        inside && self.holds(x as usize, y as usize)
+    }
+
+    /// Whether it holds each pixel, row by row.
+    pub fn pixels(&self) -> &[bool] {
+        &self.holds
+    }
+
+    /// Width and height, px.
+    pub fn size(&self) -> [usize; 2] {
+        [self.width, self.height]
+    }
+
+    /// Share of the picture's pixels.
+    pub fn share(&self) -> f64 {
+        self.count() as f64 / self.holds.len().max(1) as f64
+    }
+
+    /// The pixels of a picture within the mask, in one row.
+    ///
+    /// # Panics
+    /// When the sizes differ: a fault of the caller.
+    pub fn pixels_of<E>(&self, image: &Image<E>) -> Image<E> {
+        assert_eq!(
+            (image.width(), image.height()),
+            (self.width, self.height),
+            "picture and mask: sizes differ"
+        );
+        let of_plane = |plane: usize| {
+            let values = image.plane(plane).iter().zip(&self.holds);
+            values.filter(|(_, holds)| **holds).map(|(value, _)| *value)
+        };
+        let values = (0..3).flat_map(of_plane).collect();
+        Image::from_planar(self.count(), 1, values)
+    }
+
+    fn count(&self) -> usize {
+        self.holds.iter().filter(|holds| **holds).count()
+    }
+}
+
+/// The pixels of a picture that count, in one row; all of the picture without a mask.
+pub fn counted<'a, E: Clone>(image: &'a Image<E>, mask: Option<&Mask>) -> Cow<'a, Image<E>> {
+    mask.map_or(Cow::Borrowed(image), |mask| Cow::Owned(mask.pixels_of(image)))
+}
+
+/// A picture that masks a photograph.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct MaskPicture {
+    /// Where it lies.
+    pub file: PathBuf,
+    /// Whether white hides, as instant-ngp has it; else black does, as COLMAP and nerfstudio have
+    /// it.
+    pub white_hides: bool,
+}
+
+/// What masks a photograph.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Masking {
+    /// The photograph.
+    pub photograph: PathBuf,
+    /// Pictures; what one of them hides is hidden.
+    pub pictures: Vec<MaskPicture>,
+    /// Whether transparent pixels of the photograph are hidden, too.
+    pub alpha: bool,
+}
+
+impl Masking {
+    /// By the photograph's own alpha, where some of it is transparent.
+    pub fn of(photograph: &Path) -> Self {
+        Self { photograph: photograph.to_owned(), pictures: Vec::new(), alpha: true }
+    }
+
+    /// The pixels of the upright photograph that count, at this size of its aspect. `undistort`
+    /// moves them as those of the photograph are moved, at any size.
+    ///
+    /// # Errors
+    /// [`ImageError`] of a mask.
+    pub fn load(
+        &self,
+        (width, height): (usize, usize),
+        undistort: impl Fn(&Image<Linear>) -> Image<Linear>,
+    ) -> Result<Mask, ImageError> {
+        let mut all = Mask::full(width, height);
+        for shares in self.shares()? {
+            all = all.and(&Mask::of_shares(&undistort(&shares.at(width, height))));
+        }
+        Ok(all)
+    }
+
+    fn shares(&self) -> Result<Vec<Shares>, ImageError> {
+        let header = read_header(&self.photograph)?;
+        let upright = (header.width, header.height);
+        let pictures = self.pictures.iter();
+        let shares = pictures.map(|picture| picture.shares(header.orientation, upright));
+        let mut shares = shares.collect::<Result<Vec<_>, _>>()?;
+        if self.alpha {
+            shares.extend(shares::of_alpha(&self.photograph)?);
+        }
+        Ok(shares)
+    }
+}
+
+impl MaskPicture {
+    /// The share of each of its pixels that counts, turned as the stored pixels of its photograph
+    /// are. A picture that fits the `upright` photograph alone is upright itself.
+    fn shares(
+        &self,
+        orientation: Orientation,
+        upright: (usize, usize),
+    ) -> Result<Shares, ImageError> {
+        let header = read_header(&self.file)?;
+        // The mask's own EXIF, which a photograph's tools may have left in it, says nothing.
+        let stored = match header.orientation.to_exif() {
+            5..=8 => (header.height, header.width),
+            _ => (header.width, header.height),
+        };
+        let turned = match orientation.to_exif() {
+            5..=8 => (stored.1, stored.0),
+            _ => stored,
+        };
+        let orientation = match (fits(turned, upright), fits(stored, upright)) {
+            (true, _) => orientation,
+            (false, true) => Orientation::NoTransforms,
+            (false, false) => return Err(ImageError::OtherShape),
+        };
+        let shares = shares::of_picture(&self.file, orientation)?;
+        Ok(if self.white_hides { shares.inverted() } else { shares })
+    }
+}
+
+/// Whether two sizes have the same proportions, within 1 %.
+fn fits(one: (usize, usize), other: (usize, usize)) -> bool {
+    let ratio = (one.0 * other.1) as f64 / (one.1 * other.0).max(1) as f64;
+    (ratio - 1.0).abs() < 0.01
+}
