@@ -10,6 +10,7 @@
 mod denoise;
 mod estimate;
 mod kernels;
+mod processor;
 pub mod reference;
 mod response;
 mod saved;

@@ -5,6 +5,7 @@ pub(crate) mod compare;
 #[cfg(test)]
 pub(crate) mod fixtures;
 pub mod pass;
+pub mod processor;
 pub mod project;
 pub mod rasterize;
 pub mod reference;

@@ -1,3 +1,5 @@
+mod processor;
+
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 

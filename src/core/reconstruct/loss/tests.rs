@@ -1,3 +1,5 @@
+mod processor;
+
 use super::*;
 use crate::agreement::assert_agrees;
 

@@ -1,0 +1,55 @@
+//! The loss for processors against the reference.
+
+use fled_cpu::loss::{Loss, LossMeans, Shares};
+
+use super::*;
+
+const SHARES: Shares = Shares { absolute: L1_SHARE, similarity: SSIM_SHARE };
+
+/// The target in units of 1/65535.
+fn target_values(target: &Image) -> Vec<u16> {
+    let words = pack_target(target).into_iter();
+    let halves = words.flat_map(|word| [word as u16, (word >> 16) as u16]);
+    halves.take(target.data().len()).collect()
+}
+
+fn on_processor(prediction: &Image, target: &Image) -> (Vec<f32>, LossMeans) {
+    let size = [target.width(), target.height()];
+    let (mut loss, values) = (Loss::default(), target_values(target));
+    let mut gradient = vec![7.0; prediction.data().len()];
+    // Twice: nothing may depend on the leftovers of the last run.
+    loss.run(target.data(), &values, size, SHARES, &mut gradient);
+    let means = loss.run(prediction.data(), &values, size, SHARES, &mut gradient);
+    (gradient, means)
+}
+
+#[test]
+fn gradient_and_means_match_the_reference_at_odd_sizes() {
+    for (width, height) in [(281, 161), (13, 7), (3, 50), (64, 32), (1, 1)] {
+        let (prediction, target) = pictures(width, height);
+        let (gradient, found) = on_processor(&prediction, &target);
+        let expected = expected(&prediction, &target);
+        assert_agrees(
+            &format!("gradient at {width}x{height}"),
+            &gradient,
+            &expected.gradient,
+            1e-3,
+        );
+        for (ours, theirs) in [
+            (found.absolute, expected.l1),
+            (found.similarity, expected.ssim),
+            (found.squared, expected.squared),
+        ] {
+            assert!((ours - theirs).abs() < 1e-5, "{width}x{height}: {found:?} {theirs}");
+        }
+    }
+}
+
+#[test]
+fn the_comparison_detects_other_weights() {
+    let (prediction, target) = pictures(33, 21);
+    let (gradient, _) = on_processor(&prediction, &target);
+    let wrong: Vec<f64> =
+        expected(&prediction, &target).gradient.iter().map(|g| g * 0.998).collect();
+    assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+}
