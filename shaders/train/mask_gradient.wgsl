@@ -1,6 +1,6 @@
 // No gradient in masked pixels: what is predicted there has no part in the loss.
-// Reads kept [ceil(H W / 32)] (a bit a pixel). Updates gradient [3, H, W]. Dispatch: 3 H W
-// invocations.
+// Reads kept [ceil(H W / 32)] (a bit a pixel). Updates (reads and writes) gradient [3, H, W].
+// Dispatch: 3 H W invocations.
 #import shared/grid.wgsl
 #import shared/loss.wgsl
 #import shared/mask.wgsl

@@ -1,4 +1,4 @@
-//! A child process with a process group of its own, so that nothing of it is left when it is killed.
+//! A child process with a process group of its own, so that a kill leaves nothing of it.
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};

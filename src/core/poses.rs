@@ -94,7 +94,8 @@ pub struct Poses {
     pub source: String,
     /// The fallback strategy that was taken: learned matches of all pairs (`L`, by a loose mapper
     /// `M`), of the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features
-    /// (`A`..=`E`, and `G` on the plain photographs); or all of it on deblurred photographs (`F`). `None` for given poses.
+    /// (`A`..=`E`, and `G` on the plain photographs); or all of it on deblurred photographs (`F`).
+    /// `None` for given poses.
     #[serde(rename = "rung")]
     pub strategy: Option<char>,
     /// What is said about the place of every view asked for; empty where the poses were given.

@@ -100,7 +100,7 @@ pub struct Shake {
     pub render_gradient: Vec<f32>,
 }
 
-/// What a tap adds to a row: where its numbers begin, before column 0, and its factors.
+/// The contribution of a tap to a row: where its numbers begin, before column 0, and its factors.
 struct Source {
     begin: usize,
     columns: usize,
@@ -202,7 +202,7 @@ impl Shake {
 }
 
 impl Kernel {
-    /// What the taps of a row read: at a distance of their offsets times `sign`.
+    /// The rows that the taps of a row read, at their offsets times `sign`.
     fn sources(&self, row: usize, sign: i32) -> Vec<Source> {
         let source = |tap: &Tap| {
             let [dx, dy] = tap.offset.map(|offset| sign * offset);

@@ -167,7 +167,7 @@ pub(crate) fn log2<S: Simd>(x: F<S>) -> F<S> {
     (series * ratio).mul_add(2.0 * std::f32::consts::LOG2_E, whole)
 }
 
-/// What f32 leaves out of the logarithm of e.
+/// The part of the logarithm of e that f32 leaves out.
 const LOG2_E_REST: f32 = 1.925_963e-8;
 
 #[inline(always)]

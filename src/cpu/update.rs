@@ -40,7 +40,7 @@ pub struct Step {
     pub accumulates: bool,
 }
 
-/// What the blending of a view left behind.
+/// Results of blending a view that the update needs.
 #[derive(Clone, Copy)]
 pub struct Blended<'a> {
     pub view: &'a View,

@@ -41,10 +41,10 @@ const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
 
 /// Largest file that is unpacked only to see what it is; larger than lists of poses are, and raw
 /// files.
-const LARGEST_TOLD: u64 = 64 << 20;
+const MAX_METADATA_BYTES: u64 = 64 << 20;
 
 /// Most bytes of such files together.
-const MOST_TOLD: u64 = 256 << 20;
+const MAX_METADATA_TOTAL: u64 = 256 << 20;
 
 /// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
 const READ_METHODS: [CompressionMethod; 3] =
@@ -153,7 +153,7 @@ struct Wanted {
     role: Role,
 }
 
-/// What an entry is unpacked for.
+/// The reason for unpacking an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Role {
     /// A photograph.
@@ -162,8 +162,8 @@ enum Role {
     Known,
     /// To see whether it is of a format that is not read, as its name says.
     Unread,
-    /// To see whether it plays a role.
-    Told,
+    /// Its content decides whether it is used.
+    Metadata,
     /// For nothing: a video, or an archive.
     Listed,
 }
@@ -173,7 +173,7 @@ enum Role {
 struct Totals {
     unpacked: u64,
     packed: u64,
-    told: u64,
+    metadata: u64,
 }
 
 impl Totals {
@@ -188,12 +188,13 @@ impl Totals {
         let size = entry.size();
         match role {
             Role::Listed => return Ok(false),
-            Role::Told | Role::Unread => {
-                let is_fit = size <= LARGEST_TOLD && self.told + size <= MOST_TOLD;
+            Role::Metadata | Role::Unread => {
+                let is_fit =
+                    size <= MAX_METADATA_BYTES && self.metadata + size <= MAX_METADATA_TOTAL;
                 if !is_fit || check_entry(name, entry).is_err() {
                     return Ok(false);
                 }
-                self.told += size;
+                self.metadata += size;
             }
             Role::Photograph | Role::Known => check_entry(name, entry)?,
         }
@@ -240,7 +241,7 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
         };
         let size = entry.size();
         let is_unpacked = totals.admits(&name, &entry, role)?;
-        if !is_unpacked && role == Role::Told {
+        if !is_unpacked && role == Role::Metadata {
             continue;
         }
         // Only these names are shown and stored, unlike `Icon\r` of macOS.
@@ -252,7 +253,7 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
     }
     totals.check(length)?;
     // Photographs are asked for by their number: what is also looked at does not change it.
-    wanted.sort_by_key(|item| item.role == Role::Told);
+    wanted.sort_by_key(|item| item.role == Role::Metadata);
     Ok(wanted)
 }
 
@@ -327,7 +328,7 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     Ok(())
 }
 
-/// What an entry of this name is unpacked for; `None` for what is not used.
+/// The role of an entry of this name; `None` if it is not used.
 fn role(name: &str) -> Option<Role> {
     if name.split('/').any(is_hidden) {
         return None;
@@ -342,7 +343,7 @@ fn role(name: &str) -> Option<Role> {
         }
         // It may be taken for a photograph.
         () if is_video(path) || Unread::named(path).is_some() => Role::Listed,
-        () if heads::are_told(name) => Role::Told,
+        () if heads::is_recognisable(name) => Role::Metadata,
         () => return None,
     })
 }

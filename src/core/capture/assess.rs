@@ -27,7 +27,7 @@ const LONGEST_NAME: usize = 40;
 /// The outcome for the whole capture.
 pub(super) struct Assessed {
     pub(super) views: Vec<CaptureView>,
-    /// Those of the capture but for second files of one exposure: their poses are those of the first.
+    /// All paths but second files of one exposure, whose poses are those of the first.
     pub(super) photographs: Vec<PhotoPath>,
     pub(super) assessments: Vec<Assessment>,
     pub(super) warnings: Vec<CaptureWarning>,

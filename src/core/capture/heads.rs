@@ -1,4 +1,4 @@
-//! What a file beside photographs is, by what it begins with: users choose its name.
+//! Recognises files beside photographs by their content, because users choose their names.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,10 +6,10 @@ use std::path::Path;
 
 use super::entries::Entry;
 
-/// How much of a file is looked at, bytes: lists of names may come before the first pose.
+/// Bytes read of each file: lists of names may precede the first pose.
 const HEAD_BYTES: u64 = 1 << 20;
 
-/// Extensions of files that are looked at.
+/// Extensions of files whose content is read.
 const EXTENSIONS: [&str; 8] = ["json", "xml", "xmp", "csv", "txt", "out", "nvm", "sfm"];
 
 /// Files that fled writes at the top of a result, and words in them: of a run, also of one that is
@@ -53,7 +53,7 @@ const FOREIGN: [(&str, &[&str]); 22] = [
     ),
 ];
 
-/// Files that only their names tell: parts of their paths, and the programs that write them.
+/// Files recognised by their paths alone: parts of the path, and the programs that write them.
 const FOREIGN_NAMES: [(&str, &str); 4] = [
     (".rcproj", "RealityScan"),
     ("/cameras_sphere.npz", "IDR and NeuS"),
@@ -61,9 +61,9 @@ const FOREIGN_NAMES: [(&str, &str); 4] = [
     ("/pose/", "NSVF"),
 ];
 
-/// What a file is.
+/// The kind of a recognised file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Told {
+pub(super) enum Recognised {
     /// At the top of a result of fled.
     Result,
     /// NeRF's poses, whatever the file is called.
@@ -72,31 +72,31 @@ pub(super) enum Told {
     Foreign(&'static str),
 }
 
-/// Whether files of this name are looked at.
-pub(super) fn are_told(name: &str) -> bool {
+/// Whether the content of files with this name is read.
+pub(super) fn is_recognisable(name: &str) -> bool {
     let extension = Path::new(name).extension().and_then(|extension| extension.to_str());
     extension.is_some_and(|own| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(own)))
 }
 
-/// What a file that is no picture is, where that is known.
-pub(super) fn told(entry: &Entry) -> Option<Told> {
+/// The kind of a file that is not a picture, if it is recognised.
+pub(super) fn recognise(entry: &Entry) -> Option<Recognised> {
     let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
     let by_name = || { FOREIGN_NAMES.iter() }.find(|(part, _)| path.contains(part));
-    let by_name = || by_name().map(|(_, program)| Told::Foreign(program));
-    if !are_told(&path) {
+    let by_name = || by_name().map(|(_, program)| Recognised::Foreign(program));
+    if !is_recognisable(&path) {
         return by_name();
     }
     let head = head(&entry.file).unwrap_or_default();
     let has = |words: &[&str]| words.iter().all(|word| head.contains(word));
     let name = path.rsplit('/').next().unwrap_or_default();
     if RESULTS.iter().any(|(own, words)| *own == name && has(words)) {
-        return Some(Told::Result);
+        return Some(Recognised::Result);
     }
     if name.ends_with(".json") && has(&TRANSFORMS) {
-        return Some(Told::Transforms);
+        return Some(Recognised::Transforms);
     }
     let foreign = FOREIGN.iter().find(|(_, words)| has(words));
-    foreign.map(|(program, _)| Told::Foreign(program)).or_else(by_name)
+    foreign.map(|(program, _)| Recognised::Foreign(program)).or_else(by_name)
 }
 
 /// The beginning of a text, in lower case; nothing of another file.

@@ -11,7 +11,7 @@ use crate::run_folder::RunFolder;
 
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
-use super::heads::{self, Told};
+use super::heads::{self, Recognised};
 use super::masks::{self, Masks};
 use super::photograph::CaptureWarning;
 use super::place::{self, Place};
@@ -193,14 +193,14 @@ struct Beside {
 
 impl Beside {
     fn of(pictures: Vec<Entry>, others: Vec<Entry>) -> Self {
-        let told: Vec<(Entry, Option<Told>)> = { others.into_iter() }
-            .map(|entry| (if is_known(&entry) { None } else { heads::told(&entry) }, entry))
-            .map(|(told, entry)| (entry, told))
+        let recognised: Vec<(Entry, Option<Recognised>)> = { others.into_iter() }
+            .map(|entry| (if is_known(&entry) { None } else { heads::recognise(&entry) }, entry))
+            .map(|(recognised, entry)| (entry, recognised))
             .collect();
-        let is_result = |(entry, told): &(Entry, Option<Told>)| {
-            (*told == Some(Told::Result)).then(|| entry.path.folder().to_owned())
+        let is_result = |(entry, recognised): &(Entry, Option<Recognised>)| {
+            (*recognised == Some(Recognised::Result)).then(|| entry.path.folder().to_owned())
         };
-        let results: Vec<String> = told.iter().filter_map(is_result).collect();
+        let results: Vec<String> = recognised.iter().filter_map(is_result).collect();
         let is_within = |entry: &Entry| results.iter().any(|r| entry.path.below(r).is_some());
         // A run may leave its result where the photographs are.
         let are_all_within = pictures.iter().all(is_within);
@@ -218,12 +218,12 @@ impl Beside {
             foreign_poses: Vec::new(),
             result: results.first().cloned(),
         };
-        for (entry, told) in told.into_iter().filter(|(entry, _)| is_own(entry)) {
-            match told {
-                Some(Told::Foreign(program)) => beside.foreign_poses.push((entry, program)),
-                Some(Told::Transforms) => beside.others.push(entry),
+        for (entry, recognised) in recognised.into_iter().filter(|(entry, _)| is_own(entry)) {
+            match recognised {
+                Some(Recognised::Foreign(program)) => beside.foreign_poses.push((entry, program)),
+                Some(Recognised::Transforms) => beside.others.push(entry),
                 None if is_known(&entry) => beside.others.push(entry),
-                Some(Told::Result) | None => {}
+                Some(Recognised::Result) | None => {}
             }
         }
         beside

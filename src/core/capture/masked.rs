@@ -78,7 +78,7 @@ pub(super) fn look_at_masks(
     on_few_threads(|| all.map(of).collect())
 }
 
-/// What the user should know about the masks of these photographs.
+/// The warnings about the masks of these photographs.
 pub(super) fn warnings(views: &[CaptureView], masked: &[Masked]) -> Vec<CaptureWarning> {
     let mut warnings = Vec::new();
     let faults: Vec<_> = masked.iter().flat_map(|masked| &masked.faults).collect();

@@ -1,4 +1,4 @@
-//! Which pictures of a capture are masks, and of which photographs.
+//! Finds the masks of a capture and assigns them to photographs.
 //!
 //! A mask lies in a folder `masks/` under the name of its photograph, with another extension
 //! (nerfstudio) or one more (COLMAP), beside it under a name made of its own, or where `mask_path`
@@ -42,7 +42,7 @@ struct Named {
     by: By,
 }
 
-/// What says whose mask it is, the most certain first.
+/// The evidence that assigns a mask to its photograph, the strongest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum By {
     Poses,
@@ -56,7 +56,7 @@ enum By {
 pub(super) struct Masks(BTreeMap<PhotoPath, Vec<(Entry, MaskPicture)>>);
 
 impl Masks {
-    /// What masks a photograph.
+    /// The masks of a photograph.
     pub(super) fn of(&self, photograph: &PhotoPath) -> Vec<(&Entry, &MaskPicture)> {
         let masks = self.0.get(photograph).into_iter().flatten();
         masks.map(|(entry, mask)| (entry, mask)).collect()
@@ -119,7 +119,7 @@ pub(super) fn take(pictures: &mut Vec<Entry>, poses: &[&Entry]) -> Found {
 
 impl Found {
     fn add_named_by_poses(&mut self, file: &Entry, pictures: &[Entry]) {
-        // What cannot be read is told of with the poses.
+        // The poses report an unreadable file.
         let Ok(frames) = masks_of_transforms(&file.file) else {
             return;
         };

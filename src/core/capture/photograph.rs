@@ -63,7 +63,7 @@ pub struct Assessment {
 /// Something worth knowing that does not stop the work.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CaptureWarning {
-    /// Stable snake_case code: `dark`, `blurred`, `hdr`, `mixed_sizes`, `few`, `gt_size`, `gt_missing`.
+    /// Stable snake_case code: `dark`, `blurred`, `hdr`, `mixed_sizes`, `few` and others.
     pub code: String,
     /// One sentence, with figures.
     pub message: String,

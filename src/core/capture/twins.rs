@@ -15,8 +15,8 @@ const SIDE: usize = 24;
 /// different things, or of one from elsewhere, are far below.
 const ALIKE: f32 = 0.9;
 
-/// Least correlation of twins with different names, whose brightness is the same, too: what saving a
-/// picture in another format leaves.
+/// Least correlation of twins with different names, whose brightness is the same, too. Saving a
+/// picture in another format keeps it.
 const EQUAL: f32 = 0.9995;
 
 /// Most that the mean brightness of such twins differs, as a share.

@@ -1,7 +1,7 @@
 //! A video as photographs: of every stretch the sharpest frame.
 //!
-//! ffmpeg reads it as a process of its own: its beginning for what its pictures need, once small and
-//! grey, which is enough to tell how sharp each frame is, and once for those that were chosen.
+//! ffmpeg reads it in a process of its own: first its beginning, to see how its frames are coded,
+//! then all of it small and grey, to measure sharpness, and last the chosen frames.
 
 mod choose;
 mod error;

@@ -3,7 +3,8 @@
 //! What each input becomes: grey is repeated in all three channels; palettes are looked up; alpha
 //! is composited over black, in the values as encoded; CMYK is converted without a profile; 16
 //! bits stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored, values are taken
-//! as sRGB but for a HEIC of PQ or HLG, which becomes sRGB ([`super::hdr`]); EXIF orientation is applied once, here and nowhere else, and HEIC's own in its stead.
+//! as sRGB, but a HEIC of PQ or HLG becomes sRGB ([`super::hdr`]); EXIF orientation is applied
+//! once, here and nowhere else, and HEIC's own in its stead.
 //! Floating-point TIFF is refused, as its range and encoding are unknown.
 
 mod error;

@@ -13,8 +13,8 @@ use crate::metrics::Report;
 /// The stamp of the whole run.
 const RUN: &str = "run";
 
-/// The report of an earlier delivery with equal dependencies whose files are all there. Without one,
-/// removes the stamp of any earlier delivery, because its files are about to be overwritten.
+/// The report of an earlier delivery with equal dependencies whose files are all there. Without
+/// one, removes the stamp of any earlier delivery, because its files are about to be overwritten.
 ///
 /// # Errors
 /// [`PipelineError::Io`].

@@ -132,8 +132,8 @@ impl Workspace {
     }
 }
 
-/// Hash of the parts, prefixed with [`CODE_VERSION`]: the name or the stamp of whatever outlives the
-/// build that made it.
+/// Hash of the parts, prefixed with [`CODE_VERSION`]: the name or the stamp of anything that
+/// outlives the build that made it.
 pub fn fingerprint(parts: &[&str]) -> String {
     fingerprint_by(CODE_VERSION, parts)
 }

@@ -1,4 +1,4 @@
-//! What the forward and the backward pass of the projection share, for sixteen Gaussians. The
+//! Terms shared by the projection's forward and backward pass, for sixteen Gaussians. The
 //! meaning is the core's src/core/splat/reference/projection.rs.
 
 use fearless_simd::prelude::*;
@@ -19,7 +19,7 @@ const QUAT_GUARD: f32 = 1e-8;
 /// Range of the exponentiated log-scale.
 pub(crate) const LOG_SCALE_RANGE: [f32; 2] = [-30.0, 20.0];
 
-/// What does not depend on the camera.
+/// Terms that do not depend on the camera.
 pub(crate) struct Shape<S: Simd> {
     pub(crate) mean: V3<S>,
     pub(crate) unit_quat: [F<S>; 4],

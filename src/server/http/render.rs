@@ -348,8 +348,8 @@ fn failed(error: &RenderError) -> Problem {
         .retry_after(RENDER_RETRY)
 }
 
-/// What a picture depends on: the build, the scene's very file, the camera, the size, the format and
-/// what is shown.
+/// A hash of all that a picture depends on: the build, the scene's very file, the camera, the size,
+/// the format and what is shown.
 fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let metadata = std::fs::metadata(scene)?;
     let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);

@@ -27,8 +27,8 @@ fn with(files: &[(&str, Vec<u8>)]) -> (tempfile::TempDir, Capture, Vec<String>) 
     let opened = Capture::open(&home.path().join("capture"), &home.path().join("scratch"));
     let capture = opened.expect("a capture");
     let masks = capture.warnings.iter().filter(|warning| warning.code == "masks");
-    let told = masks.map(|warning| warning.message.clone()).collect();
-    (home, capture, told)
+    let messages = masks.map(|warning| warning.message.clone()).collect();
+    (home, capture, messages)
 }
 
 fn load(capture: &Capture, view: usize) -> Option<Mask> {
@@ -46,15 +46,15 @@ fn masks_hide_what_they_show_black_and_are_no_photographs() {
         ("masks/b.jpg.png", half),
         ("images/dynamic_mask_c.png", white),
     ];
-    let (_home, capture, told) = with(&files);
+    let (_home, capture, messages) = with(&files);
     assert_eq!(capture.photographs.len(), 3);
     for view in 0..3 {
         let mask = load(&capture, view).expect("a mask");
         let wrong = (0..96 * 64).filter(|i| mask.holds(i % 96, i / 96) != (i % 96 >= 48));
         assert_eq!(wrong.count(), 0, "{view}");
     }
-    assert_eq!(told.len(), 1, "{told:?}");
-    assert!(told[0].starts_with("3 of 3 photographs have masks"), "{told:?}");
+    assert_eq!(messages.len(), 1, "{messages:?}");
+    assert!(messages[0].starts_with("3 of 3 photographs have masks"), "{messages:?}");
     assert!(capture.warnings.iter().all(|w| w.code != "elsewhere"), "{:?}", capture.warnings);
     let (_home, without, _) = with(&files[..2]);
     assert_ne!(capture.fingerprint, without.fingerprint);
@@ -66,11 +66,11 @@ fn mask_path_of_a_frame_names_a_mask_anywhere() {
         {"file_path": "images/b.jpg", "mask_path": "hands/0001.png"},
         {"file_path": "images/c.jpg", "mask_path": "hands/lost.png"}]}"#;
     let files = [("hands/0001.png", left_hidden()), ("transforms.json", json.into())];
-    let (_home, capture, told) = with(&files);
+    let (_home, capture, messages) = with(&files);
     assert!(load(&capture, 0).is_none() && load(&capture, 2).is_none());
     assert!(!load(&capture, 1).expect("a mask").holds(0, 0));
-    assert!(told.iter().any(|m| m.contains("hands/lost.png")), "{told:?}");
-    assert!(told.iter().any(|m| m.contains("1 of 3 photographs have masks")), "{told:?}");
+    assert!(messages.iter().any(|m| m.contains("hands/lost.png")), "{messages:?}");
+    assert!(messages.iter().any(|m| m.contains("1 of 3 photographs have masks")), "{messages:?}");
 }
 
 #[test]
@@ -88,11 +88,11 @@ fn transparent_pixels_are_masked() {
         ("images/d.png", encoded(::image::ImageFormat::Png)),
         ("images/e.webp", picture_of(&cut.clone(), 1)),
     ];
-    let (_home, capture, told) = with(&files);
+    let (_home, capture, messages) = with(&files);
     let mask = load(&capture, 3).expect("a mask");
     assert!(!mask.holds(10, 10) && mask.holds(60, 10));
     assert!(load(&capture, 4).is_some() && load(&capture, 0).is_none());
-    assert!(told[0].starts_with("2 of 5 photographs have masks"), "{told:?}");
+    assert!(messages[0].starts_with("2 of 5 photographs have masks"), "{messages:?}");
 }
 
 /// The cut-out with other colours, as WebP.
@@ -111,29 +111,29 @@ fn a_mask_that_cannot_be_used_is_told_of_with_its_reason() {
         ("masks/b.png", b"no picture".to_vec()),
         ("masks/z.png", left_hidden()),
     ];
-    let (_home, capture, told) = with(&files);
+    let (_home, capture, messages) = with(&files);
     assert!((0..3).all(|view| load(&capture, view).is_none()));
     assert!(
-        told.iter().any(|m| m.contains(
+        messages.iter().any(|m| m.contains(
             "2 masks are not used, the first is masks/a.png: it has \
         other proportions"
         )),
-        "{told:?}"
+        "{messages:?}"
     );
     assert!(
-        told.iter().any(|m| m.contains("no photograph") && m.contains("masks/z.png")),
-        "{told:?}"
+        messages.iter().any(|m| m.contains("no photograph") && m.contains("masks/z.png")),
+        "{messages:?}"
     );
 }
 
 #[test]
 fn a_photograph_of_which_nothing_is_left_is_not_used() {
     let files = [("images/d.jpg", jpeg(7)), ("masks/d.png", mask_of(96, 64, |_, _| false))];
-    let (_home, capture, told) = with(&files);
+    let (_home, capture, messages) = with(&files);
     assert_eq!(capture.views.len(), 3);
     let hidden = &capture.assessments[3];
     assert!(!hidden.accepted && hidden.reason.as_deref() == Some("its mask hides all of it"));
-    assert!(told.iter().any(|m| m.starts_with("1 photographs are not used")), "{told:?}");
+    assert!(messages.iter().any(|m| m.starts_with("1 photographs are not used")), "{messages:?}");
 }
 
 #[test]
@@ -148,9 +148,9 @@ fn a_mask_is_turned_as_the_stored_pixels_of_its_photograph_are() {
     let upright = mask_of(64, 96, |_, y| y >= 48);
     for (name, mask) in [("stored", left_hidden()), ("upright", upright)] {
         let files = [("images/d.jpg", turned.clone()), ("masks/d.png", mask)];
-        let (_home, capture, told) = with(&files);
+        let (_home, capture, messages) = with(&files);
         let view = &capture.views[3];
-        assert_eq!((view.width, view.height), (64, 96), "{name}: {told:?}");
+        assert_eq!((view.width, view.height), (64, 96), "{name}: {messages:?}");
         let mask = load(&capture, 3).expect("a mask");
         let wrong = (0..96 * 64).filter(|i| mask.holds(i % 64, i / 64) != (i / 64 >= 48));
         assert_eq!(wrong.count(), 0, "{name}");

@@ -1,4 +1,4 @@
-//! What ffmpeg says of the pictures before they are read: fields, colours, range, projection.
+//! Fields, colours, range and projection of a video, as ffmpeg reports them before frames are read.
 
 use super::error::VideoError;
 use super::ffmpeg::{Ffmpeg, Output};
@@ -61,7 +61,7 @@ impl Stream {
     }
 }
 
-/// What ffmpeg says while it reads the video through a filter: all of it, or so many frames.
+/// The log of ffmpeg while it reads the video, or its first frames, through a filter.
 fn say(ffmpeg: &Ffmpeg<'_>, filter: &str, frames: Option<usize>) -> Result<String, VideoError> {
     let mut arguments = vec!["-loglevel".to_owned(), "info".to_owned()];
     arguments.extend(["-nostats", "-vf", filter].map(str::to_owned));
@@ -74,8 +74,8 @@ fn say(ffmpeg: &Ffmpeg<'_>, filter: &str, frames: Option<usize>) -> Result<Strin
 
 /// How all directions are laid out in one picture, if they are.
 fn projection(input: &str) -> Option<&str> {
-    let told = input.lines().find_map(|line| line.trim_start().strip_prefix("spherical: "));
-    let name = told.map(|told| told.split(" (").next().unwrap_or(told).trim());
+    let text = input.lines().find_map(|line| line.trim_start().strip_prefix("spherical: "));
+    let name = text.map(|text| text.split(" (").next().unwrap_or(text).trim());
     // ffmpeg reads the older description only where it is complete.
     let partial = input.contains("Invalid spherical metadata").then_some("of some projection");
     name.or(partial).filter(|&name| name != "rectilinear")
@@ -123,8 +123,8 @@ fn shown(said: &str) -> Option<Fields> {
 /// Filters that undo the turn with which ffmpeg makes pictures upright, and that repeat it. Fields
 /// are rows of the picture as it is stored.
 fn turn(input: &str) -> [&'static str; 2] {
-    let told = input.lines().find_map(|line| line.split("displaymatrix: rotation of ").nth(1));
-    let degrees = told.and_then(|told| told.split(' ').next()?.parse::<f64>().ok());
+    let text = input.lines().find_map(|line| line.split("displaymatrix: rotation of ").nth(1));
+    let degrees = text.and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
     match degrees.map_or(0, |degrees| degrees.round() as i32) {
         -90 => ["transpose=cclock,", "transpose=clock,"],
         90 => ["transpose=clock,", "transpose=cclock,"],

@@ -301,7 +301,7 @@ fn coding(file: &HeifFile<'_>, items: &[u32]) -> Result<Option<Coding>, Error> {
     Ok(None)
 }
 
-/// What the parameters of a stream say; its decoder reports those that are damaged.
+/// Colour parameters of the coded stream; its decoder reports damaged ones.
 fn coding_of_stream(units: &[Vec<u8>]) -> Option<Coding> {
     let mut sets = ParameterSets::default();
     for unit in units {

@@ -16,7 +16,7 @@ const LARGEST_MEAN: u32 = 1100;
 /// Largest of the others: as much, and what encoders add to white beside an edge against ringing.
 const LARGEST_DETAIL: u32 = 1280;
 
-/// Checks a file that begins as a JPEG does. What only the decoder can judge is left to it.
+/// Checks a file that begins as a JPEG does. All else is left to the decoder.
 ///
 /// # Errors
 /// [`ImageError::Damaged`], with how much is whole, and [`ImageError::Unsupported`].
@@ -91,7 +91,7 @@ struct File<'a> {
 }
 
 impl<'a> File<'a> {
-    /// What lies before the next marker, and that marker.
+    /// The bytes before the next marker, and that marker.
     fn bits(&mut self) -> (Bits<'a>, Option<u8>) {
         let rest = self.bytes.get(self.at..).unwrap_or_default();
         let is_marker = |pair: &[u8]| pair[0] == 0xff && !matches!(pair[1], 0 | 0xff);
@@ -103,7 +103,7 @@ impl<'a> File<'a> {
         (Bits { rest: &data[..length], buffer: 0, count: 0 }, end.map(|end| rest[end + 1]))
     }
 
-    /// What follows a marker, by its length.
+    /// The segment after a marker, by its length field.
     fn segment(&mut self) -> Option<&'a [u8]> {
         let length = number(self.bytes.get(self.at..self.at + 2)?);
         let segment = self.bytes.get(self.at + 2..self.at + length)?;
@@ -145,7 +145,7 @@ impl<'a> File<'a> {
     }
 }
 
-/// What segments before a scan define.
+/// Tables that segments before a scan define.
 #[derive(Default)]
 struct Tables {
     /// Of the first coefficients, and of the others.
@@ -341,7 +341,7 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// The error of a scan of which so many units are whole.
+    /// The error of a scan in which only the first `units` are whole.
     fn broken(&self, frame: &Frame, units: usize) -> Result<(), ImageError> {
         let (across, down) = self.units(frame);
         let (whole, height) = ((units / across) * frame.height / down, frame.height);
