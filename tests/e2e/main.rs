@@ -6,6 +6,7 @@ mod handed_on;
 mod job;
 mod kills;
 mod late_views;
+mod masks;
 mod models;
 mod networks;
 mod paper;
