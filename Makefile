@@ -10,6 +10,8 @@ VENV := .venv/bin/python
 ifndef XDG_RUNTIME_DIR
 export NODEVICE_SELECT := 1
 endif
+# The service's tests mostly wait: with twice as many at a time as there are cores, they take half as long.
+export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-nightly test-browser test-training

@@ -61,7 +61,7 @@ impl Server {
         let capture = small_capture(self.folder.path());
         let mut parts = folder_parts(&capture);
         let options = json!({
-            "size": 128, "steps": 300, "cap": 1500, "rounds": 2, "pose_source": "given", "held_out": 4,
+            "size": 128, "steps": 150, "cap": 1500, "rounds": 2, "pose_source": "given", "held_out": 4,
             "train_on": "deblurred",
         });
         parts.extend([text("preset", "preview"), text("options", &options.to_string())]);

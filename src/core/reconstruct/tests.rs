@@ -266,7 +266,7 @@ fn eight_views_of_a_synthetic_scene_predict_held_out_ones() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);
-    let config = TrainConfig { resolution_schedule: true, ..config(800, 1_000) };
+    let config = TrainConfig { resolution_schedule: true, ..config(500, 1_000) };
     let result = trained(&views, start(&views, &scene, &config), &config);
     let held_out = views_of(&scene, &[-0.35, 0.0, 0.33], [96, 64]);
     let scores: Vec<_> =

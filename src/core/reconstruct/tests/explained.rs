@@ -48,7 +48,7 @@ fn kernels_make_a_scene_of_shaken_views_sharper() {
     }
     let held_out = views_of(&scene, &[-0.35, 0.0, 0.33], [160, 112]);
     let quality = |shake: Option<Response>| {
-        let config = TrainConfig { resolution_schedule: true, shake, ..config(600, 1_500) };
+        let config = TrainConfig { resolution_schedule: true, shake, ..config(300, 1_500) };
         let result = trained(&views, start(&views, &scene, &config), &config);
         let scores = held_out.iter().map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image));
         scores.sum::<f64>() / held_out.len() as f64
@@ -82,7 +82,7 @@ fn wrong_cameras_are_corrected_and_held_out_ones_registered() {
     let given: Vec<TrainingView> =
         views.iter().enumerate().map(|(n, view)| wrong(n, view)).collect();
     let (held_out, given) = given.split_first().expect("nine");
-    let config = TrainConfig { refine_poses: Some(3.0), ..config(500, 1_000) };
+    let config = TrainConfig { refine_poses: Some(3.0), ..config(300, 1_000) };
     let fixed = TrainConfig { refine_poses: None, ..config.clone() };
     let truth: Vec<Camera> = views[1..].iter().map(|view| view.camera).collect();
     let as_given: Vec<Camera> = given.iter().map(|view| view.camera).collect();

@@ -65,7 +65,7 @@ fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     };
     // No checkpoint is due by the clock.
-    for stop in [1, 37, 74, 75, 76, 100, 149, 150] {
+    for stop in [1, 74, 75, 76, 100, 150] {
         let kept = begin().stopped_at(stop, false);
         let steps: Vec<u32> = kept.iter().map(|checkpoint| checkpoint.step).collect();
         assert_eq!(steps, [stop]);

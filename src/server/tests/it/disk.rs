@@ -63,7 +63,7 @@ fn a_temporarily_full_disk_loses_nothing() {
         writeln!(std::io::stderr(), "{said}").expect("said");
         return;
     }
-    let fills: u32 = std::env::var("FLED_FILLS").map_or(6, |n| n.parse().expect("FLED_FILLS"));
+    let fills: u32 = std::env::var("FLED_FILLS").map_or(3, |n| n.parse().expect("FLED_FILLS"));
     let server = Server::start_on_disk(DISK, &[("FLED_FAKE_IO_RETRY_MS", "700")]);
     let calm = server.job("ok");
     server.wait_state(&calm, "succeeded");
@@ -76,7 +76,7 @@ fn a_temporarily_full_disk_loses_nothing() {
         let job = server.post_json("/v1/jobs", &order, &[]).expect(202).json();
         let job = job["id"].as_str().expect("id").to_owned();
         // Spread over all stages, and before the job begins.
-        sleep(Duration::from_millis(u64::from(fill) * 137 % 1100));
+        sleep(Duration::from_millis(u64::from(fill) * 411 % 1100));
         let stage = server.show(&job)["stage"].to_string();
         let filler = fill_up(&server);
         let end = Instant::now() + Duration::from_millis(600);
