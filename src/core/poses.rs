@@ -72,7 +72,7 @@ pub struct PoseView {
     pub file: PathBuf,
     /// Focal length in px of the original photograph, where its metadata tell.
     pub focal_px: Option<f64>,
-    /// What masks it.
+    /// Its mask.
     pub masking: Option<Masking>,
 }
 

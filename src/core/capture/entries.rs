@@ -32,7 +32,7 @@ impl Entry {
         Self { path, file, number: 1, too_large: None }
     }
 
-    /// What it is called where each file needs a name of its own.
+    /// Its name, unique in the capture.
     pub(super) fn name(&self) -> PhotoPath {
         match self.number {
             1 => self.path.clone(),

@@ -24,7 +24,7 @@ pub struct CaptureView {
     pub focal_px: Option<f64>,
     /// Its sharp ground truth.
     pub gt: Option<PathBuf>,
-    /// What masks it.
+    /// Its mask.
     pub masking: Option<Masking>,
 }
 

@@ -301,7 +301,7 @@ fn photographs_of_one_name_have_names_of_their_own() {
     assert!(capture.views.iter().map(|view| &view.name).eq(&views), "{views:?}");
 }
 
-/// What a run with these options leaves, in this folder.
+/// Writes the files of a run with these options into this folder.
 fn result(folder: &str) -> Vec<(String, Vec<u8>)> {
     let options = crate::pipeline::config::Options::default();
     let mut files: Vec<(String, Vec<u8>)> = { 0..3 }
@@ -347,7 +347,7 @@ fn results_of_fled_are_no_part_of_a_capture() {
         open_folder(&result("").iter().map(|(n, b)| (n.as_str(), b.clone())).collect::<Vec<_>>());
     let error = error.expect_err("no photographs").to_string();
     assert!(error.contains("this folder holds a result of fled"), "{error}");
-    // What users call so is theirs.
+    // Files of the user that merely share these names.
     let mut own = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     own.push(("images/config.json".to_owned(), br#"{"rounds": 3}"#.to_vec()));
     assert_eq!(read(&own).0.len(), 3);
