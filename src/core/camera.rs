@@ -74,6 +74,11 @@ impl Camera {
         }
     }
 
+    /// Width and height of its image, px.
+    pub fn size(&self) -> [usize; 2] {
+        [self.intrinsics.width, self.intrinsics.height]
+    }
+
     /// Rotation part, world to camera.
     pub fn rotation(&self) -> DMat3 {
         DMat3::from_mat4(self.world_to_camera)

@@ -15,6 +15,7 @@ pub mod capture;
 pub mod colmap;
 pub mod dataset;
 pub mod deblur;
+pub mod device;
 pub mod enhance;
 pub mod event;
 pub mod export;

@@ -1,7 +1,6 @@
 //! Training the splats of one round: from posed views to a scene.
 //!
-//! A step is one submission: project, sort, blend, noise, loss, and the way back to Adam. The host
-//! waits only for the number of intersections of the step before last.
+//! The trainer decides what happens at which step; a device (`training.rs`) takes the steps.
 
 pub mod checkpoint;
 mod config;
@@ -9,7 +8,6 @@ pub mod densify;
 mod error;
 mod forward_model;
 pub mod initialise;
-mod level;
 mod look;
 pub mod loss;
 mod observed;
@@ -18,9 +16,9 @@ mod registration;
 mod round;
 pub mod schedule;
 mod trainer;
+mod training;
 
-use fled_gpu::Gpu;
-
+use crate::device::Device;
 pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::{Background, Densify, Pace, TrainConfig};
@@ -34,6 +32,7 @@ pub use round::{
 };
 pub use schedule::Schedule;
 pub use trainer::Stepper;
+pub use training::TrainingState;
 
 /// Trains one round.
 ///
@@ -42,13 +41,13 @@ pub use trainer::Stepper;
 /// # Errors
 /// [`ReconstructError`].
 pub fn train(
-    gpu: &Gpu,
+    device: &Device,
     views: &[TrainingView],
     start: TrainStart,
     config: &TrainConfig,
     hooks: &mut TrainHooks<'_>,
 ) -> Result<Trained, ReconstructError> {
-    trainer::Trainer::new(gpu, views, start, config)?.run(hooks)
+    trainer::Trainer::new(device, views, start, config)?.run(hooks)
 }
 
 #[cfg(test)]

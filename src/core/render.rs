@@ -4,14 +4,13 @@ mod depth;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use fled_gpu::{Gpu, GpuError};
+use fled_gpu::GpuError;
 
 use crate::camera::Camera;
+use crate::device::{Device, Scene};
 use crate::gaussians::Gaussians;
 use crate::image::Image;
-use crate::splat::pass::{ForwardPass, PassRecording};
 use crate::splat::rasterize::SplatCounts;
-use crate::splat::rows::DeviceGaussians;
 pub use depth::Depth;
 
 /// Rendering failed.
@@ -32,59 +31,32 @@ pub enum SplatError {
 
 /// Renders scenes over black. Buffers are reused between images, and grow on demand.
 pub struct Renderer {
-    gpu: Gpu,
+    device: Device,
 }
 
 /// Gaussians on the device, with the buffers of their last image.
 pub struct UploadedGaussians {
-    gaussians: DeviceGaussians,
-    drawing: Mutex<Option<Drawing>>,
-}
-
-/// The renderer of the last image, and its commands.
-struct Drawing {
-    pass: ForwardPass,
-    recording: PassRecording,
+    scene: Mutex<Box<dyn Scene>>,
+    sh_degree: u32,
 }
 
 impl UploadedGaussians {
-    /// The counts of the last image; `None` before the first. Waits for the device.
+    /// The counts of the last image, all 0 before the first. Waits for the device.
     ///
     /// # Errors
     /// A device error.
-    pub fn counts(&self) -> Result<Option<SplatCounts>, SplatError> {
-        let drawing = self.drawing();
-        let counts = drawing.as_ref().map(|drawing| drawing.pass.buffers().counts()?.wait());
-        Ok(counts.transpose()?)
+    pub fn counts(&self) -> Result<SplatCounts, SplatError> {
+        Ok(self.scene().counts()?)
     }
 
-    fn drawing(&self) -> MutexGuard<'_, Option<Drawing>> {
-        self.drawing.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Drawing {
-    fn new(gpu: &Gpu, gaussians: DeviceGaussians, size: [usize; 2]) -> Result<Self, GpuError> {
-        let pass = ForwardPass::new(gpu, gaussians, size, false)?;
-        let recording = pass.keep(pass.recorder()?);
-        Ok(Self { pass, recording })
-    }
-
-    fn image(&mut self, camera: &Camera, sh_degree: u32) -> Result<Image, GpuError> {
-        let recording = &mut self.recording;
-        self.pass.image(camera, sh_degree, |pass| {
-            if !pass.serves(recording) {
-                *recording = pass.keep(pass.recorder()?);
-            }
-            recording.submit()?;
-            Ok(pass.buffers().image.clone())
-        })
+    fn scene(&self) -> MutexGuard<'_, Box<dyn Scene>> {
+        self.scene.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Renderer {
-    pub fn new(gpu: &Gpu) -> Self {
-        Self { gpu: gpu.clone() }
+    pub fn new(device: &Device) -> Self {
+        Self { device: device.clone() }
     }
 
     /// Uploads a scene to the device, for [`Renderer::render_scene`].
@@ -93,8 +65,8 @@ impl Renderer {
     /// Out of memory, or more Gaussians than the adapter can bind.
     pub fn upload(&self, gaussians: &Gaussians) -> Result<UploadedGaussians, SplatError> {
         Ok(UploadedGaussians {
-            gaussians: DeviceGaussians::upload(&self.gpu, gaussians, gaussians.len())?,
-            drawing: Mutex::new(None),
+            scene: Mutex::new(self.device.scene(gaussians)?),
+            sh_degree: gaussians.sh_degree,
         })
     }
 
@@ -109,7 +81,7 @@ impl Renderer {
         camera: &Camera,
         sh_degree: u32,
     ) -> Result<Image, SplatError> {
-        self.draw(&self.upload(gaussians)?, camera, sh_degree)
+        draw(&self.upload(gaussians)?, camera, sh_degree)
     }
 
     /// Renders an uploaded scene through a camera, with all of its spherical harmonics.
@@ -121,7 +93,7 @@ impl Renderer {
         scene: &UploadedGaussians,
         camera: &Camera,
     ) -> Result<Image, SplatError> {
-        self.draw(scene, camera, scene.gaussians.sh_degree)
+        draw(scene, camera, scene.sh_degree)
     }
 
     /// Renders the depth of a scene through a camera.
@@ -133,28 +105,14 @@ impl Renderer {
         let far = depth::as_colours(gaussians, camera, unit);
         Ok(Depth::of(&self.render(&far, camera, 0)?, unit))
     }
+}
 
-    fn draw(
-        &self,
-        scene: &UploadedGaussians,
-        camera: &Camera,
-        sh_degree: u32,
-    ) -> Result<Image, SplatError> {
-        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-        if width == 0 || height == 0 {
-            return Err(SplatError::EmptyImage { width, height });
-        }
-        let size = [width, height];
-        let mut kept = scene.drawing();
-        let mut drawing = match kept.take() {
-            Some(drawing) => drawing,
-            None => Drawing::new(&self.gpu, scene.gaussians.clone(), size)?,
-        };
-        drawing.pass.set_size(size)?;
-        let image = drawing.image(camera, sh_degree)?;
-        *kept = Some(drawing);
-        Ok(image)
+fn draw(scene: &UploadedGaussians, camera: &Camera, sh_degree: u32) -> Result<Image, SplatError> {
+    let [width, height] = camera.size();
+    if width == 0 || height == 0 {
+        return Err(SplatError::EmptyImage { width, height });
     }
+    Ok(scene.scene().render(camera, sh_degree)?)
 }
 
 #[cfg(test)]
@@ -166,19 +124,23 @@ mod tests {
     use crate::splat::uniform::NEAR;
 
     #[test]
-    fn a_rendered_image_matches_the_reference() {
+    fn a_rendered_image_matches_the_reference_on_both_devices() {
         let gaussians = fixtures::gaussians(300, 2, 21);
         let mut view = fixtures::viewpoint(70, 45);
         (view.sh_degree, view.near) = (2, f64::from(NEAR));
         let splats: Vec<_> = (0..300).map(|i| Splat::from_gaussians(&gaussians, i)).collect();
         let (_, expected) = reference::render(&splats, &view);
-        let renderer = Renderer::new(fixtures::gpu());
-        let image = renderer.render(&gaussians, &view.camera, 2).unwrap();
-        mostly_within(image.data(), &expected.image, 1e-4, 1e-3).unwrap();
-        view.sh_degree = 0;
-        let (_, expected) = reference::render(&splats, &view);
-        let image = renderer.render(&gaussians, &view.camera, 0).unwrap();
-        mostly_within(image.data(), &expected.image, 1e-4, 1e-3).unwrap();
+        let expected_flat = {
+            view.sh_degree = 0;
+            reference::render(&splats, &view).1
+        };
+        for device in fixtures::devices() {
+            let renderer = Renderer::new(&device);
+            for (degree, expected) in [(2, &expected), (0, &expected_flat)] {
+                let image = renderer.render(&gaussians, &view.camera, degree).unwrap();
+                mostly_within(image.data(), &expected.image, 1e-4, 1e-3).unwrap();
+            }
+        }
     }
 
     #[test]
@@ -186,21 +148,24 @@ mod tests {
         let mut gaussians = fixtures::gaussians(200, 0, 2);
         gaussians.log_scales.fill([1.5; 3]);
         gaussians.opacity_logits.fill(-2.0);
-        let renderer = Renderer::new(fixtures::gpu());
-        let scene = renderer.upload(&gaussians).unwrap();
-        // 200 splats over 1,200 tiles: far more than the initial guess.
-        let large = fixtures::viewpoint(640, 480).camera;
-        let first = renderer.render_scene(&scene, &large).unwrap();
-        let small = renderer.render_scene(&scene, &fixtures::viewpoint(64, 48).camera).unwrap();
-        assert_eq!((small.width(), small.height()), (64, 48));
-        assert!(renderer.render_scene(&scene, &large).unwrap() == first);
-        assert!(renderer.render(&gaussians, &large, 0).unwrap() == first);
-        assert!(first.data().iter().any(|&v| v > 0.1));
+        for device in fixtures::devices() {
+            let renderer = Renderer::new(&device);
+            let scene = renderer.upload(&gaussians).unwrap();
+            // 200 splats over 1,200 tiles: far more than the initial guess.
+            let large = fixtures::viewpoint(640, 480).camera;
+            let first = renderer.render_scene(&scene, &large).unwrap();
+            let small = renderer.render_scene(&scene, &fixtures::viewpoint(64, 48).camera);
+            let small = small.unwrap();
+            assert_eq!((small.width(), small.height()), (64, 48));
+            assert!(renderer.render_scene(&scene, &large).unwrap() == first);
+            assert!(renderer.render(&gaussians, &large, 0).unwrap() == first);
+            assert!(first.data().iter().any(|&v| v > 0.1));
+        }
     }
 
     #[test]
     fn a_camera_without_pixels_is_an_error() {
-        let renderer = Renderer::new(fixtures::gpu());
+        let renderer = Renderer::new(&Device::Processor);
         let camera = fixtures::viewpoint(0, 48).camera;
         let result = renderer.render(&fixtures::gaussians(3, 0, 1), &camera, 0);
         assert!(matches!(result, Err(SplatError::EmptyImage { width: 0, height: 48 })));

@@ -36,10 +36,10 @@ pub const CELLS: usize = 2 * ALONG;
 /// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error.
 /// Without it, detail that the shake hides from every view is unconstrained: it grows into
 /// elongated Gaussians, and the kernels with it.
-const SMOOTH_WEIGHT: f64 = 0.05;
+pub(crate) const SMOOTH_WEIGHT: f64 = 0.05;
 /// Difference well below which the penalty is quadratic, so that smooth shading is free. `BEND` of
 /// the shader.
-const SMOOTH_BEND: f64 = 0.02;
+pub(crate) const SMOOTH_BEND: f64 = 0.02;
 
 /// Least elongation of a kernel that shows a significant shake, px, at a longer side of
 /// [`TELLS_SIDE`] (docs/decisions/shake.md).
@@ -242,8 +242,9 @@ impl DeviceKernel {
         })
     }
 
-    pub fn kernel(&self) -> &ShakeKernel {
-        &self.kernel
+    /// Whether it was set to this kernel for images of this size, px.
+    pub fn is_set_to(&self, kernel: &ShakeKernel, size: [usize; 2]) -> bool {
+        self.kernel == *kernel && self.pixels == size[0] * size[1]
     }
 }
 
@@ -269,6 +270,11 @@ impl Shake {
         &self.response
     }
 
+    /// Whether it serves images of this size, px.
+    pub fn fits(&self, size: [usize; 2]) -> bool {
+        size[0] * size[1] <= self.light.len()
+    }
+
     /// Sets the kernel of `view` from the next submission on, at its image's size in px. Recordings
     /// stay valid as long as the size does not change.
     ///
@@ -281,7 +287,7 @@ impl Shake {
         kernel: ShakeKernel,
     ) -> Result<(), GpuError> {
         let pixels = size[0] * size[1];
-        if pixels > self.light.len() {
+        if !self.fits(size) {
             return Err(GpuError::Validation(format!(
                 "shake made too small for {}x{}",
                 size[0], size[1]

@@ -11,12 +11,13 @@ pub mod blend;
 pub mod loss;
 pub mod population;
 pub mod project;
+pub mod roofline;
 pub mod shake;
 mod simd;
 pub mod update;
 mod vector;
 
-pub use simd::{LANES, Lanes, is_supported};
+pub use simd::{LANES, Lanes, is_supported, vectors};
 
 /// The camera of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -44,6 +44,8 @@ pub struct Shares {
 pub struct Loss {
     /// Derivatives of the similarity by three moments of its window, [3, height, 3, stride].
     derivatives: Vec<f32>,
+    /// The prediction with the target in masked pixels.
+    filled: Vec<f32>,
 }
 
 /// One channel of an image and of its target, with the size in px.
@@ -119,6 +121,31 @@ impl Loss {
         let mean = |n: usize| errors.iter().map(|sums| sums[n]).sum::<f64>() / values;
         let similarity = similarities.into_iter().sum::<f64>() / values;
         LossMeans { absolute: mean(0), squared: mean(1), similarity }
+    }
+}
+
+impl Loss {
+    /// [`Loss::run`] without the pixels that are not `kept`, [height, width]: there the prediction
+    /// is taken to be the target, so it has no error, and its gradient is 0. Means are over all
+    /// pixels.
+    pub fn run_masked(
+        &mut self,
+        prediction: &[f32],
+        (target, kept): (&[u16], &[bool]),
+        size: [usize; 2],
+        shares: Shares,
+        gradient: &mut [f32],
+    ) -> LossMeans {
+        let mut filled = std::mem::take(&mut self.filled);
+        filled.clear();
+        let masked = || kept.iter().cycle();
+        let pairs = prediction.iter().zip(target).zip(masked());
+        filled.extend(pairs.map(|((p, t), kept)| if *kept { *p } else { unpacked(*t) }));
+        let means = self.run(&filled, target, size, shares, gradient);
+        self.filled = filled;
+        let outside = gradient.iter_mut().zip(masked()).filter(|(_, kept)| !**kept);
+        outside.for_each(|(gradient, _)| *gradient = 0.0);
+        means
     }
 }
 

@@ -21,12 +21,14 @@ pub mod column {
     pub const HARMONICS: usize = super::GEOMETRY;
 }
 
-/// Gaussians and Adam's moments.
+/// Gaussians and, in training, Adam's moments.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Population {
     pub(crate) sh_degree: u32,
     pub(crate) count: usize,
     /// [blocks, columns].
+    /// Whether there are moments and statistics.
+    trains: bool,
     pub(crate) values: Vec<Lanes>,
     pub(crate) first: Vec<Lanes>,
     pub(crate) second: Vec<Lanes>,
@@ -40,7 +42,7 @@ fn place(columns: usize, gaussian: usize, column: usize) -> (usize, usize) {
 }
 
 impl Population {
-    /// `count` Gaussians from a function of Gaussian and column, with zero moments.
+    /// `count` Gaussians from a function of Gaussian and column, for renders.
     pub fn from_fn(
         sh_degree: u32,
         count: usize,
@@ -49,6 +51,7 @@ impl Population {
         let mut out = Self {
             sh_degree,
             count: 0,
+            trains: false,
             values: Vec::new(),
             first: Vec::new(),
             second: Vec::new(),
@@ -62,6 +65,14 @@ impl Population {
             }
         }
         out
+    }
+
+    /// With moments and statistics of zero, for training.
+    #[must_use]
+    pub fn in_training(mut self) -> Self {
+        self.trains = true;
+        self.grow(self.count);
+        self
     }
 
     /// Number of Gaussians.
@@ -96,6 +107,25 @@ impl Population {
         [self.first[row][lane], self.second[row][lane]]
     }
 
+    /// Sets Adam's first and second moment of a number of a Gaussian [in
+    /// training](Population::in_training).
+    pub fn set_moments(&mut self, gaussian: usize, column: usize, [first, second]: [f32; 2]) {
+        let (row, lane) = place(self.columns(), gaussian, column);
+        self.first[row][lane] = first;
+        self.second[row][lane] = second;
+    }
+
+    /// Sum of the lengths of a Gaussian's gradients by position, and the number of views in it.
+    pub fn statistics(&self, gaussian: usize) -> [f32; 2] {
+        self.seen[gaussian / LANES].map(|lanes| lanes[gaussian % LANES])
+    }
+
+    /// Sets [`Population::statistics`].
+    pub fn set_statistics(&mut self, gaussian: usize, statistics: [f32; 2]) {
+        let lanes = &mut self.seen[gaussian / LANES];
+        lanes.iter_mut().zip(statistics).for_each(|(lanes, v)| lanes[gaussian % LANES] = v);
+    }
+
     /// Makes room for `count` Gaussians; the new ones have no direction and are culled until a
     /// move fills them.
     fn grow(&mut self, count: usize) {
@@ -103,6 +133,9 @@ impl Population {
         self.count = count.max(self.count);
         let rows = (blocks * self.columns()).max(self.values.len());
         self.values.resize(rows, [0.0; LANES]);
+        if !self.trains {
+            return;
+        }
         self.first.resize(rows, [0.0; LANES]);
         self.second.resize(rows, [0.0; LANES]);
         self.seen.resize(blocks.max(self.seen.len()), [[0.0; LANES]; 2]);

@@ -22,6 +22,14 @@ pub fn is_supported() -> bool {
     return !Level::new().is_fallback();
 }
 
+/// The vectors that the kernels use on this processor.
+pub fn vectors() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    return if Level::new().as_avx512().is_some() { "AVX-512" } else { "AVX2" };
+    #[cfg(not(target_arch = "x86_64"))]
+    return "vectors of its architecture";
+}
+
 /// Runs a kernel with the widest instructions of this processor. There is no version without
 /// AVX2: sixteen scalars for a vector are slower than any other way, and take minutes to compile.
 #[cfg(target_arch = "x86_64")]

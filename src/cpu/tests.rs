@@ -37,7 +37,7 @@ fn steps() -> Vec<u32> {
         background: [0.1; 3],
         near: 0.1,
     };
-    let mut population = population();
+    let mut population = population().in_training();
     let (mut projection, mut bins) = (Projection::default(), Bins::default());
     let (mut canvas, mut sums) = (Canvas::default(), SlotSums::default());
     let (mut loss, mut shake) = (Loss::default(), Shake::default());

@@ -5,13 +5,13 @@ use std::time::Instant;
 
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
+use fled_core::device::Device;
 use fled_core::event::Event;
 use fled_core::pipeline::config::Preset;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::workspace::Workspace;
 use fled_core::pipeline::{self};
 use fled_core::reconstruct::ReconstructError;
-use fled_gpu::Gpu;
 use fled_lab::bench::report::JobTimes;
 use fled_lab::bench::{self, BenchError, BenchOptions, Budget, MOST_STEPS, Workload};
 
@@ -92,13 +92,13 @@ fn count(text: &str) -> Result<usize, String> {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
     let cancel = tools::cancel_on_signals()?;
-    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     // The job comes first, so that an error in a capture shows at once and not after minutes.
     let job = args.capture.as_deref().map(|capture| run_job(args, capture, &cancel)).transpose()?;
-    eprintln!("measuring on {}", gpu.describe());
-    let mut report = bench::run(&gpu, &options, &mut progress, &cancel)?;
+    eprintln!("measuring on {}", device);
+    let mut report = bench::run(&device, &options, &mut progress, &cancel)?;
     if let Some((times, scene)) = job {
-        bench::run_scene(&gpu, &scene, &mut report, &mut progress, &cancel)?;
+        bench::run_scene(&device, &scene, &mut report, &mut progress, &cancel)?;
         report.job = Some(times);
     }
     print(&report.table())?;
@@ -143,7 +143,7 @@ fn run_job(
         pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut tell_stage, cancel)?;
     let seconds = begin.elapsed().as_secs_f64();
     let times =
-        JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.gpu().memory().peak);
+        JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.device().peak_bytes());
     Ok((times, Workload::of_run(folder.path())?))
 }
 

@@ -7,10 +7,11 @@ use std::process::Command;
 
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::{self, DeblurError, NetworkChoice};
+use fled_core::device::Device;
 use fled_core::features::weights::Package;
 use fled_core::inference::runtime;
 use fled_core::pipeline::error::ErrorKind;
-use fled_gpu::{Gpu, GpuError};
+use fled_gpu::GpuError;
 use serde::Serialize;
 
 use crate::failure::Failure;
@@ -66,9 +67,9 @@ impl Check {
 /// # Errors
 /// [`Failure`] of kind `environment` if anything is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
-    let gpu = Gpu::new(&args.adapter);
-    let has_gpu = gpu.as_ref().is_ok_and(|gpu| gpu.describe().device_type.is_gpu());
-    let checks = checks(args, gpu);
+    let device = Device::new(&args.adapter);
+    let has_gpu = device.as_ref().is_ok_and(Device::is_gpu);
+    let checks = checks(args, device);
     let mut out = std::io::stdout().lock();
     let written = if args.json {
         writeln!(out, "{}", serde_json::json!({ "checks": checks, "has_gpu": has_gpu }))
@@ -90,7 +91,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     Ok(())
 }
 
-fn checks(args: &Args, gpu: Result<Gpu, GpuError>) -> Vec<Check> {
+fn checks(args: &Args, device: Result<Device, GpuError>) -> Vec<Check> {
     let search = tools::Args::library_folders();
     let runtime = runtime::find(args.tools.onnxruntime.as_deref(), &search)
         .map(|found| format!("{} at {}", found.version, found.path.display()));
@@ -100,12 +101,13 @@ fn checks(args: &Args, gpu: Result<Gpu, GpuError>) -> Vec<Check> {
         ..deblur::OpenOptions::default()
     };
     let model = models(&open);
-    let adapter = gpu.map(|gpu| gpu.describe().to_string());
+    let adapter = device.map(|device| device.to_string());
     vec![
         Check::new(
             "adapter",
             adapter,
-            "Install a Vulkan driver; without a GPU: apt-get install mesa-vulkan-drivers libvulkan1",
+            "A GPU needs its Vulkan driver, a processor AVX2; without either, install \
+             mesa-vulkan-drivers",
         ),
         Check::new(
             "colmap",

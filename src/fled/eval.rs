@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
+use fled_core::device::Device;
 use fled_core::inference::runtime;
 use fled_core::metrics::Report;
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;
-use fled_gpu::Gpu;
 use fled_lab::evaluation::{self, EvaluationError, Lpips, Request, Subject, Truth};
 
 use crate::failure::{Failure, io};
@@ -86,14 +86,14 @@ fn judge(args: &Args, run: &Path, truth: &Path) -> Result<(), Failure> {
     let truth = Truth::open(truth, &out)?;
     let lpips = args.lpips.as_deref().map(|path| open_lpips(args, path));
     let mut lpips = lpips.transpose()?;
-    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let judged = evaluation::evaluate(Request {
         subject: &subject,
         truth: &truth,
         seen_from: seen_from.as_ref().unwrap_or(&subject),
         masks: args.masks.as_deref(),
         inside: args.inside,
-        gpu: &gpu,
+        device: &device,
         lpips: lpips.as_mut(),
         cancel: &tools::cancel_on_signals()?,
     })?;

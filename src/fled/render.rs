@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use fled_core::camera::{Camera, NamedCamera};
+use fled_core::device::Device;
 use fled_core::gaussians::ply;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
 use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint};
-use fled_gpu::Gpu;
 
 use crate::failure::{Failure, io};
 
@@ -77,9 +77,9 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let scene = run.scene_of(args.round);
     let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
     let (gaussians, camera) = (scene.gaussians, scene.normalisation.within(&camera));
-    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
-    let renderer = Renderer::new(&gpu);
+    let renderer = Renderer::new(&device);
     let picture = if args.depth {
         let depth = renderer.depth(&gaussians, &camera).map_err(render)?;
         depth.picture()

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use fled_core::camera::normalisation::Normalisation;
+use fled_core::device::Device;
 use fled_core::gaussians::ply;
 use fled_core::image::{EncodeFormat, Image, write_atomic};
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::render::{Renderer, UploadedGaussians};
-use fled_gpu::Gpu;
 use fled_server::render::{Format, RenderReply, RenderRequest, Shown};
 
 use crate::failure::Failure;
@@ -81,8 +81,8 @@ struct Worker {
 
 impl Worker {
     fn open() -> Result<Self, String> {
-        let gpu = Gpu::new("auto").map_err(words)?;
-        Ok(Self { renderer: Renderer::new(&gpu), scene: None })
+        let device = Device::new("auto").map_err(words)?;
+        Ok(Self { renderer: Renderer::new(&device), scene: None })
     }
 
     fn render(&mut self, request: &RenderRequest) -> Result<(), String> {

@@ -9,6 +9,7 @@ use fled_core::capture::Capture;
 use fled_core::colmap::ColmapCli;
 use fled_core::dataset::GivenPoses;
 use fled_core::deblur::{self, Restorer};
+use fled_core::device::Device;
 use fled_core::features::{FeatureError, LearnedMatching, SearchOptions};
 use fled_core::inference::runtime;
 use fled_core::pipeline::config::{Guide, KeyPoints, Options, PoseSource};
@@ -16,7 +17,6 @@ use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::{self};
 use fled_core::poses::Sfm;
 use fled_core::poses::matching::Matching;
-use fled_gpu::Gpu;
 
 use crate::failure::Failure;
 
@@ -164,7 +164,7 @@ fn home(below: &str, variable: &str) -> Option<PathBuf> {
 
 /// All resources of a run, owned.
 pub struct Kit {
-    gpu: Gpu,
+    device: Device,
     sfm: Box<dyn Sfm>,
     matching: Option<Arc<dyn Matching>>,
     deblurrer: Box<dyn Restorer>,
@@ -180,8 +180,8 @@ impl Kit {
     /// [`Failure`] of kind `environment` with a hint, or `bad_input` if the options request given
     /// poses that the capture lacks.
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
-        let gpu =
-            Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+        let device =
+            Device::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
         let (deblur::Opened { deblurrer, mut fallbacks }, enhancer) = open_networks(args, options)?;
         let enhancer = enhancer.map(|opened| {
             fallbacks.extend(opened.fallbacks);
@@ -200,18 +200,18 @@ impl Kit {
             }
         };
         let sfm = sfm(args, options, capture, matching.clone())?;
-        Ok(Self { gpu, sfm, matching, deblurrer, enhancer, fallbacks, cache: args.cache() })
+        Ok(Self { device, sfm, matching, deblurrer, enhancer, fallbacks, cache: args.cache() })
     }
 
     /// The device.
-    pub fn gpu(&self) -> &Gpu {
-        &self.gpu
+    pub fn device(&self) -> &Device {
+        &self.device
     }
 
     /// Borrows the resources for a run.
     pub fn tools(&mut self) -> pipeline::Tools<'_> {
         pipeline::Tools {
-            gpu: &self.gpu,
+            device: &self.device,
             sfm: self.sfm.as_ref(),
             matching: self.matching.as_deref(),
             deblurrer: self.deblurrer.as_mut(),

@@ -5,13 +5,13 @@ use std::time::Instant;
 
 use fled_core::camera::Camera;
 use fled_core::cancel::{CancelToken, Cancelled};
+use fled_core::device::Device;
 use fled_core::event::Event;
 use fled_core::gaussians::ply;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
 use fled_core::run_folder::RunFolder;
 use fled_core::video::{self, EncodeError, Kind, Plan, PlanError, Target};
-use fled_gpu::Gpu;
 use indicatif::ProgressBar;
 use rustix::process::setpriority_process;
 
@@ -119,8 +119,8 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
     let within = |camera: &Camera| scene.normalisation.within(camera);
     let cameras: Vec<Camera> = cameras.iter().map(within).collect();
-    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-    let renderer = Renderer::new(&gpu);
+    let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    let renderer = Renderer::new(&device);
     let uploaded = renderer.upload(&scene.gaussians).map_err(PipelineError::from)?;
     drop(scene);
     let target = Target { program: &args.ffmpeg.program, file: &args.output, fps: plan.fps() };

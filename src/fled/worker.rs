@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use fled_core::device::Device;
 use fled_core::pipeline::error::ErrorKind;
-use fled_gpu::Gpu;
 use fled_server::ServeConfig;
 use fled_server::store::About;
 
@@ -56,14 +56,13 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 
 /// Describes this machine.
 pub fn about(adapter: &str, jobs: usize) -> About {
-    let found = Gpu::new(adapter);
-    let found = found.as_ref().map(Gpu::describe).ok();
+    let found = Device::new(adapter).ok();
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     About {
         host: host.trim().to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        adapter: found.map(ToString::to_string),
-        has_gpu: found.is_some_and(|adapter| adapter.device_type.is_gpu()),
+        adapter: found.as_ref().map(ToString::to_string),
+        has_gpu: found.is_some_and(|device| device.is_gpu()),
         cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
         memory: memory().unwrap_or(0),
         jobs: jobs as u32,

@@ -90,20 +90,23 @@ impl Gpu {
         Self::binding_at_most(adapter, u64::MAX)
     }
 
+    /// Opens the best GPU; `None` if all adapters are software or unknown.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] when the GPU cannot be opened.
+    pub fn hardware() -> Result<Option<Self>, GpuError> {
+        let kind = |adapter: &wgpu::Adapter| device_type(adapter.get_info().device_type);
+        let gpus = adapters().into_iter().filter(|adapter| kind(adapter).is_gpu());
+        gpus.min_by_key(kind).map(|adapter| open(&adapter, u64::MAX)).transpose()
+    }
+
     /// Like [`Gpu::new`], with the adapter's binding limit reduced to `most` bytes, so that tests
     /// reach it with little memory.
     ///
     /// # Errors
     /// As [`Gpu::new`].
     pub fn binding_at_most(adapter: &str, most: u64) -> Result<Self, GpuError> {
-        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-        descriptor.backends = wgpu::Backends::VULKAN;
-        // Validation of indirect dispatches costs an additional dispatch each; the kernels that
-        // write the arguments fold them below 65,535 per dimension (shared/grid.wgsl).
-        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
-        let instance = wgpu::Instance::new(descriptor);
-        let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
-        let adapter = choose(adapters, adapter)?;
+        let adapter = choose(adapters(), adapter)?;
         open(&adapter, most)
     }
 
@@ -161,6 +164,16 @@ impl Gpu {
 /// Work submitted to the device.
 #[derive(Clone, Debug)]
 pub struct Submission(pub(crate) wgpu::SubmissionIndex);
+
+fn adapters() -> Vec<wgpu::Adapter> {
+    let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+    descriptor.backends = wgpu::Backends::VULKAN;
+    // Validation of indirect dispatches costs an additional dispatch each; the kernels that
+    // write the arguments fold them below 65,535 per dimension (shared/grid.wgsl).
+    descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+    let instance = wgpu::Instance::new(descriptor);
+    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN))
+}
 
 fn choose(adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, GpuError> {
     let found: Vec<_> = adapters.iter().map(|a| a.get_info().name).collect();

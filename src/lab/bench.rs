@@ -21,6 +21,7 @@ use fled_gpu::Gpu;
 
 pub use error::BenchError;
 use fled_core::cancel::CancelToken;
+use fled_core::device::Device;
 use fled_core::noise::NoiseMode;
 use fled_core::reconstruct::{Background, Densify, Pace, Response, Stepper, TrainConfig};
 pub use options::{BenchOptions, Budget, MOST_STEPS};
@@ -71,9 +72,10 @@ enum Plan {
 }
 
 impl Plan {
-    /// Every case of the options. The costs of noise field, shake and SSIM depend on the pixels, so
+    /// Every case of the options on a device. The costs of noise field, shake and SSIM depend on the pixels, so
     /// the extras run only with the first number of Gaussians.
-    fn all(options: &BenchOptions) -> Vec<Self> {
+    fn all(options: &BenchOptions, device: &Device) -> Vec<Self> {
+        let has_kernels = matches!(device, Device::Gpu(_));
         let mut plans = Vec::new();
         for &size in &options.sizes {
             for &gaussians in &options.gaussians {
@@ -87,9 +89,10 @@ impl Plan {
                     extras,
                 }));
             }
-            plans.push(Self::Ssim { size });
+            plans.extend(has_kernels.then_some(Self::Ssim { size }));
         }
-        plans.extend(options.gaussians.iter().map(|&keys| Self::Sort { keys }));
+        let sorted = options.gaussians.iter().filter(|_| has_kernels);
+        plans.extend(sorted.map(|&keys| Self::Sort { keys }));
         plans
     }
 
@@ -111,19 +114,20 @@ impl Plan {
         match *self {
             Self::Train { size, gaussians, extras } => {
                 let mut workload =
-                    Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+                    Workload::synthetic(bench.device, size, gaussians, bench.options.seed)?;
                 if extras.shake {
                     workload.shake();
                 }
                 bench.train(name, &workload, extras)
             }
             Self::Render { size, gaussians } => {
-                let workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+                let workload =
+                    Workload::synthetic(bench.device, size, gaussians, bench.options.seed)?;
                 bench.render(name, &workload)
             }
-            Self::Ssim { size } => bench.case(name, "ssim", || Similarity::new(bench.gpu, size)),
+            Self::Ssim { size } => bench.case(name, "ssim", || Similarity::new(bench.gpu()?, size)),
             Self::Sort { keys } => {
-                bench.case(name, "sort", || Sorting::new(bench.gpu, keys, bench.options.seed))
+                bench.case(name, "sort", || Sorting::new(bench.gpu()?, keys, bench.options.seed))
             }
         }
     }
@@ -131,17 +135,24 @@ impl Plan {
 
 /// The context of all cases.
 struct Bench<'a> {
-    gpu: &'a Gpu,
+    device: &'a Device,
     options: &'a BenchOptions,
     cancel: &'a CancelToken,
 }
 
 impl Bench<'_> {
+    fn gpu(&self) -> Result<&Gpu, BenchError> {
+        match self.device {
+            Device::Gpu(gpu) => Ok(gpu),
+            Device::Processor => Err(BenchError::Empty("GPU")),
+        }
+    }
+
     fn train(&self, name: String, workload: &Workload, extras: Extras) -> Result<Case, BenchError> {
         let config = config(workload, extras);
         let gaussians = workload.gaussians.clone();
         let case = self.case(name, "train", || {
-            let stepper = Stepper::new(self.gpu, &workload.views, gaussians, &config, FIRST)?;
+            let stepper = Stepper::new(self.device, &workload.views, gaussians, &config, FIRST)?;
             let cancel = self.cancel;
             Ok(Training { stepper, cancel })
         })?;
@@ -149,7 +160,7 @@ impl Bench<'_> {
     }
 
     fn render(&self, name: String, workload: &Workload) -> Result<Case, BenchError> {
-        self.case(name, "render", || Rendering::new(self.gpu, workload))
+        self.case(name, "render", || Rendering::new(self.device, workload))
     }
 
     /// Measures the subject that `make` creates; its buffers are the case's memory.
@@ -159,12 +170,16 @@ impl Bench<'_> {
         task: &'static str,
         make: impl FnOnce() -> Result<S, BenchError>,
     ) -> Result<Case, BenchError> {
-        self.gpu.wait()?;
-        let before = self.gpu.memory().now;
-        self.gpu.forget_peak();
+        let mut before = None;
+        if let Device::Gpu(gpu) = self.device {
+            gpu.wait()?;
+            before = Some(gpu.memory().now);
+            gpu.forget_peak();
+        }
         let mut subject = make()?;
-        let measured = measure::measure(self.gpu, &mut subject, self.options.budget, self.cancel)?;
-        let peak = self.gpu.memory().peak.saturating_sub(before);
+        let (budget, cancel) = (self.options.budget, self.cancel);
+        let measured = measure::measure(self.device, &mut subject, budget, cancel)?;
+        let peak = self.device.peak_bytes().zip(before).map(|(peak, before)| peak - before);
         Ok(Case::new(name, task, &measured, peak))
     }
 }
@@ -195,7 +210,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
 /// # Errors
 /// [`BenchError`].
 pub fn run(
-    gpu: &Gpu,
+    device: &Device,
     options: &BenchOptions,
     progress: Progress<'_>,
     cancel: &CancelToken,
@@ -209,16 +224,16 @@ pub fn run(
     if options.budget.steps > MOST_STEPS {
         return Err(BenchError::Steps(options.budget.steps));
     }
-    let bench = Bench { gpu, options, cancel };
-    let plans = Plan::all(options);
-    let mut report = Report::new(Machine::of(gpu), options);
-    report.roofline.add(roofline::measure(gpu)?);
+    let bench = Bench { device, options, cancel };
+    let plans = Plan::all(options, device);
+    let mut report = Report::new(Machine::of(device), options);
+    report.roofline.add(roofline::measure(device)?);
     for (done, plan) in plans.iter().enumerate() {
         cancel.check()?;
         progress(done, plans.len(), &plan.name());
         report.cases.push(plan.measure(&bench)?);
     }
-    report.roofline.add(roofline::measure(gpu)?);
+    report.roofline.add(roofline::measure(device)?);
     report.relate();
     Ok(report)
 }
@@ -229,14 +244,14 @@ pub fn run(
 /// # Errors
 /// [`BenchError`], in particular when `workload` has no views.
 pub fn run_scene(
-    gpu: &Gpu,
+    device: &Device,
     workload: &Workload,
     report: &mut Report,
     progress: Progress<'_>,
     cancel: &CancelToken,
 ) -> Result<(), BenchError> {
     let options = report.options.clone();
-    let bench = Bench { gpu, options: &options, cancel };
+    let bench = Bench { device, options: &options, cancel };
     let total = Extras::ALL.len() + 1;
     for (done, extras) in Extras::ALL.into_iter().enumerate() {
         cancel.check()?;
@@ -247,7 +262,7 @@ pub fn run_scene(
     let name = format!("render {}", workload.name);
     progress(total - 1, total, &name);
     report.cases.push(bench.render(name, workload)?);
-    report.roofline.add(roofline::measure(gpu)?);
+    report.roofline.add(roofline::measure(device)?);
     report.relate();
     Ok(())
 }

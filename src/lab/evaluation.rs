@@ -20,10 +20,9 @@ mod truth;
 
 use std::path::Path;
 
-use fled_gpu::Gpu;
-
 use fled_core::camera::Camera;
 use fled_core::cancel::CancelToken;
+use fled_core::device::Device;
 use fled_core::image::Image;
 use fled_core::mask::Mask;
 use fled_core::metrics;
@@ -59,7 +58,7 @@ pub struct Request<'a> {
     pub masks: Option<&'a Path>,
     /// Whether test views are restricted to those between two training views in the order of names.
     pub inside: bool,
-    pub gpu: &'a Gpu,
+    pub device: &'a Device,
     /// The network of LPIPS.
     pub lpips: Option<&'a mut Lpips>,
     pub cancel: &'a CancelToken,
@@ -95,7 +94,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     let placed = truth.placed(&names, subject, &tie)?;
     let loaded = placed.iter().map(|placed| placed.load(subject.size()));
     let views = loaded.collect::<Result<Vec<_>, _>>()?;
-    let renderer = Renderer::new(request.gpu);
+    let renderer = Renderer::new(request.device);
     let scene = renderer.upload(&subject.gaussians)?;
     let registered = register(&request, &renderer, &scene, &views)?;
     let seen = seen_masks(&request, &names, &renderer)?;
@@ -129,7 +128,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
         gaussians: subject.gaussians.len(),
         elongated: elongated::count(subject),
         size: subject.size(),
-        adapter: request.gpu.describe().to_string(),
+        adapter: request.device.to_string(),
         lpips_network: judge.lpips.map(|lpips| lpips.checksum().to_owned()),
         mapped: mean_of(|row| &row.mapped),
         registered: mean_of(|row| &row.registered),
@@ -191,7 +190,8 @@ fn register(
                 has_kernel: false,
             });
         }
-        let registration = Registration::new(request.gpu, &photographs, &subject.gaussians, None)?;
+        let registration =
+            Registration::new(request.device, &photographs, &subject.gaussians, None)?;
         let moved = registration.cameras(subject.depth(), request.cancel)?;
         let steps = cameras.iter().zip(&moved);
         let furthest = steps

@@ -118,7 +118,7 @@ pub struct RunDependencies {
 impl RunDependencies {
     /// Dependencies of a run with these poses and tools.
     pub fn of(options: &Options, capture: &Capture, poses: &Poses, tools: &Tools<'_>) -> Self {
-        let adapter = tools.gpu.describe().to_string();
+        let adapter = tools.device.identity();
         let networks = tools.networks();
         Self::new(options, &capture.fingerprint, poses, networks, adapter)
     }

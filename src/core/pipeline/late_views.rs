@@ -129,7 +129,7 @@ fn find(
     };
     let scene = Scene { finished, leaving: &judgement.leaving, options: depends_on.options() };
     let placed = place(context, &scene, matching, looked_for)?;
-    let renderer = Renderer::new(tools.gpu);
+    let renderer = Renderer::new(tools.device);
     let uploaded = renderer.upload(&finished.scene.gaussians)?;
     let renders = placed
         .iter()

@@ -6,7 +6,7 @@ mod watch;
 
 use std::cell::RefCell;
 
-use fled_gpu::Gpu;
+use crate::device::Device;
 use serde::{Deserialize, Serialize};
 
 use super::config::{Options, Pace, Start};
@@ -106,7 +106,7 @@ pub struct Material<'a> {
 /// [`PipelineError::Cancelled`].
 pub fn reconstruct(
     context: &mut Context<'_>,
-    gpu: &Gpu,
+    device: &Device,
     material: &Material<'_>,
     depends_on: &Dependencies,
 ) -> Result<TrainedScene, PipelineError> {
@@ -126,8 +126,8 @@ pub fn reconstruct(
     let make = |context: &mut Context<'_>| {
         let config = train_config(material, depends_on.options());
         let start = train_start(context, material, &config, depends_on)?;
-        let trained = train(context, gpu, material, start, &config, depends_on)?;
-        let scene = with_cameras(context, gpu, material, trained, &config)?;
+        let trained = train(context, device, material, start, &config, depends_on)?;
+        let scene = with_cameras(context, device, material, trained, &config)?;
         context.workspace.make_folder(folder.root())?;
         ply::write(&scene.gaussians, normalisation, &scene_file)?;
         let in_world = |camera: &Camera| normalisation.in_world(camera);
@@ -210,7 +210,7 @@ fn train_start(
 /// Trains with the run's progress, cancellation and checkpoints.
 fn train(
     context: &mut Context<'_>,
-    gpu: &Gpu,
+    device: &Device,
     material: &Material<'_>,
     start: TrainStart,
     config: &TrainConfig,
@@ -256,7 +256,7 @@ fn train(
         seen: Some(&mut show),
         look: Some(&mut look),
     };
-    let trained = reconstruct::train(gpu, &views, start, config, &mut hooks);
+    let trained = reconstruct::train(device, &views, start, config, &mut hooks);
     // The live picture is only for a scene in training.
     let removed = context.workspace.remove(&picture);
     let trained = trained?;
@@ -291,7 +291,7 @@ fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
 /// others registered to the scene.
 fn with_cameras(
     context: &Context<'_>,
-    gpu: &Gpu,
+    device: &Device,
     material: &Material<'_>,
     trained: Trained,
     config: &TrainConfig,
@@ -300,7 +300,7 @@ fn with_cameras(
     let registered = match config.refine_poses {
         Some(depth) if !held_out.is_empty() => {
             let shake = config.shake.as_ref();
-            Registration::new(gpu, &held_out, &trained.gaussians, shake)?
+            Registration::new(device, &held_out, &trained.gaussians, shake)?
                 .cameras(depth, context.cancel)?
         }
         _ => held_out.iter().map(|view| view.camera).collect(),

@@ -1,6 +1,6 @@
 //! R_i: the scene at every view's camera.
 
-use fled_gpu::Gpu;
+use crate::device::Device;
 
 use super::context::{Advance, Context};
 use super::error::PipelineError;
@@ -18,14 +18,14 @@ use crate::run_folder::RoundPictures;
 /// [`PipelineError::Render`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
 pub fn render(
     context: &mut Context<'_>,
-    gpu: &Gpu,
+    device: &Device,
     round: &Round,
     views: &[View],
     scene: &Gaussians,
 ) -> Result<Vec<Image>, PipelineError> {
     let number = round.number;
     context.stage(Stage::Render, number, |context| {
-        let renderer = Renderer::new(gpu);
+        let renderer = Renderer::new(device);
         let uploaded = renderer.upload(scene)?;
         let mut renders = Vec::with_capacity(views.len());
         for (index, view) in views.iter().enumerate() {

@@ -30,7 +30,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         capture_shake: None,
         in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
-        adapter: tools.gpu.describe().to_string(),
+        adapter: tools.device.to_string(),
         models: models.collect(),
         fallbacks: tools.fallbacks.clone(),
         poses: facts(poses),

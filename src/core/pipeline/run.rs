@@ -197,10 +197,10 @@ fn round(
         poses,
         before: before.map(Handover::predecessor), // V_{i-1}
     };
-    let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
+    let scene = reconstruct(context, tools.device, &material, &on.reconstruct)?; // V_i
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
-    let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
+    let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i
     let next = if asked.is_still() {
         None
     } else {
@@ -295,7 +295,7 @@ impl RoundState {
     ) -> Result<Option<Handover>, PipelineError> {
         let Self { views, brightening, .. } = self;
         let round = &brightening.rounds[index];
-        let renders = render(context, tools.gpu, round, views, &scene.gaussians)?;
+        let renders = render(context, tools.device, round, views, &scene.gaussians)?;
         let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?;
         Ok(next.map(|next| Handover::new(next, scene, on)))
     }
@@ -337,7 +337,7 @@ fn begin<'a>(
         shake: None,
         size: None,
     });
-    sink.log(format!("adapter: {}", tools.gpu.describe()));
+    sink.log(format!("adapter: {}", tools.device));
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));
     }
@@ -362,7 +362,7 @@ fn teller<'a>(
     let pixels = capture.views.iter().map(pixels).sum();
     let network = tools.networks().deblur;
     let by = By {
-        adapter: tools.gpu.describe().to_string(),
+        adapter: tools.device.to_string(),
         network: format!("{} on {}", network.id, network.provider),
         poses: tools.sfm.describe(),
     };

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fled_gpu::Gpu;
+use crate::device::Device;
 
 use crate::deblur::{Restorer, RestorerInfo};
 use crate::poses::Sfm;
@@ -10,7 +10,7 @@ use crate::poses::matching::Matching;
 
 pub struct Tools<'a> {
     /// The device that trains and renders.
-    pub gpu: &'a Gpu,
+    pub device: &'a Device,
     /// Structure from motion.
     pub sfm: &'a dyn Sfm,
     /// Matches photographs with renders to find late views; without it, none are found.

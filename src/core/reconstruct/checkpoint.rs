@@ -2,8 +2,7 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::gaussians::Gaussians;
-use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
+use super::training::TrainingState;
 
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
@@ -30,24 +29,10 @@ pub struct Checkpoint {
     pub step: u32,
     /// Gaussians at the start of the round.
     pub start_count: u32,
-    /// Allocated degree of the harmonics.
-    pub sh_degree: u32,
-    /// Slots of the intersection buffers.
-    pub intersections: u32,
-    /// Non-finite gradients dropped so far.
-    pub non_finite: u32,
     /// Wall seconds taken so far.
     pub seconds: f64,
-    /// Rows of geometry, [count, 12].
-    pub geometry: Vec<f32>,
-    /// Adam's moments of the geometry, [count, 2, 12].
-    pub geometry_moments: Vec<f32>,
-    /// Rows of harmonics, [count, `sh_row`].
-    pub sh: Vec<f32>,
-    /// Adam's moments of the harmonics.
-    pub sh_moments: Vec<f32>,
-    /// The noise field's serialised parameters and moments; empty without one.
-    pub noise: Vec<f32>,
+    /// The scene in training.
+    pub state: TrainingState,
     /// The views' serialised kernels; empty without shake.
     pub shake: Vec<f32>,
     /// The views' motions, [views, 6].
@@ -71,17 +56,6 @@ struct Header {
 }
 
 impl Checkpoint {
-    /// Number of Gaussians.
-    pub fn count(&self) -> usize {
-        self.geometry.len() / GEOMETRY_ROW
-    }
-
-    /// The scene.
-    pub fn gaussians(&self) -> Gaussians {
-        let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(&self.geometry);
-        unpack_gaussians(&rows, &self.sh, self.sh_degree)
-    }
-
     /// The checkpoint as bytes: a header, then the arrays, little endian. `inputs` identifies all
     /// that the round depends on. It lies in the header, so that no kill leaves one without the
     /// other.
@@ -93,9 +67,9 @@ impl Checkpoint {
             version: VERSION,
             step: self.step,
             start_count: self.start_count,
-            sh_degree: self.sh_degree,
-            intersections: self.intersections,
-            non_finite: self.non_finite,
+            sh_degree: self.state.sh_degree,
+            intersections: self.state.intersections,
+            non_finite: self.state.non_finite,
             seconds: self.seconds,
             lengths: arrays.map(|a| a.len() as u64),
             stamp: stamp(inputs),
@@ -111,11 +85,11 @@ impl Checkpoint {
 
     fn arrays(&self) -> [&[f32]; ARRAYS] {
         [
-            &self.geometry,
-            &self.geometry_moments,
-            &self.sh,
-            &self.sh_moments,
-            &self.noise,
+            &self.state.geometry,
+            &self.state.geometry_moments,
+            &self.state.sh,
+            &self.state.sh_moments,
+            &self.state.noise,
             &self.shake,
             &self.motions,
         ]
@@ -135,32 +109,28 @@ impl Checkpoint {
         }
         let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions] =
             arrays(rest, &header.lengths)?;
-        let out = Self {
-            fingerprint: header.fingerprint,
-            step: header.step,
-            start_count: header.start_count,
+        let state = TrainingState {
             sh_degree: header.sh_degree,
             intersections: header.intersections,
             non_finite: header.non_finite,
-            seconds: header.seconds,
             geometry,
             geometry_moments,
             sh,
             sh_moments,
             noise,
+        };
+        if !state.is_consistent() {
+            return Err(fault("its arrays do not match"));
+        }
+        Ok(Self {
+            fingerprint: header.fingerprint,
+            step: header.step,
+            start_count: header.start_count,
+            seconds: header.seconds,
+            state,
             shake,
             motions,
-        };
-        if out.consistent() { Ok(out) } else { Err(fault("its arrays do not match")) }
-    }
-
-    fn consistent(&self) -> bool {
-        let sh = sh_row(self.sh_degree.min(3)) * self.count();
-        let n = self.count();
-        let expected = [GEOMETRY_ROW * n, 2 * GEOMETRY_ROW * n, sh, 2 * sh];
-        let found =
-            [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
-        self.sh_degree <= 3 && expected == found
+        })
     }
 }
 
@@ -218,15 +188,17 @@ mod tests {
             fingerprint: 77,
             step: 120,
             start_count: 2,
-            sh_degree: 1,
-            intersections: 4_000,
-            non_finite: 1,
             seconds: 7.5,
-            geometry: ramp(36),
-            geometry_moments: ramp(72),
-            sh: ramp(36),
-            sh_moments: ramp(72),
-            noise: ramp(5),
+            state: TrainingState {
+                sh_degree: 1,
+                intersections: 4_000,
+                non_finite: 1,
+                geometry: ramp(36),
+                geometry_moments: ramp(72),
+                sh: ramp(36),
+                sh_moments: ramp(72),
+                noise: ramp(5),
+            },
             shake: ramp(4),
             motions: ramp(12),
         }
@@ -254,7 +226,8 @@ mod tests {
         newer[16] += 1;
         assert!(refused(&newer).starts_with("version 10"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
-        let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
+        let mut odd = checkpoint();
+        odd.state.sh_degree = 2;
         assert_eq!(refused(&odd.to_bytes("round 1")), "its arrays do not match");
         let foreign = checkpoint().to_bytes("round 2");
         assert_eq!(refused(&foreign), "of another round, other options or another build");

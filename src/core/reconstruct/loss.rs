@@ -154,13 +154,15 @@ impl Loss {
         })
     }
 
-    /// With room for [`Loss::record_masked`].
+    /// Makes room for [`Loss::record_masked`].
     ///
     /// # Errors
     /// A device error, typically out of memory.
-    pub fn with_masks(self, gpu: &Gpu) -> Result<Self, GpuError> {
-        let filled = gpu.create("masked prediction", self.layout.values as usize)?;
-        Ok(Self { filled: Some(filled), ..self })
+    pub fn make_masks(&mut self, gpu: &Gpu) -> Result<(), GpuError> {
+        if self.filled.is_none() {
+            self.filled = Some(gpu.create("masked prediction", self.layout.values as usize)?);
+        }
+        Ok(())
     }
 
     /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from
@@ -202,7 +204,7 @@ impl Loss {
     ///
     /// # Errors
     /// [`GpuError::Validation`] when a buffer is shorter than the image, or without
-    /// [`Loss::with_masks`]; a device error.
+    /// [`Loss::make_masks`]; a device error.
     pub fn record_masked(
         &self,
         recorder: &mut Recorder,
@@ -240,11 +242,14 @@ impl Loss {
 /// Packs an image for the loss: planar, clipped to 0..=1, 16 bits per value, two values per word,
 /// the first in the lower half. Eight bits would show as bands after a tone curve.
 pub fn pack_target(image: &Image) -> Vec<u32> {
-    let quantised = |value: f32| (value.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32;
+    let half = |value: Option<&f32>| value.map_or(0, |&value| u32::from(quantised(value)));
     let pairs = image.data().chunks(2);
-    pairs
-        .map(|pair| quantised(pair[0]) | pair.get(1).map_or(0, |&second| quantised(second) << 16))
-        .collect()
+    pairs.map(|pair| half(pair.first()) | half(pair.get(1)) << 16).collect()
+}
+
+/// A value clipped to 0..=1, in units of 1/65535.
+pub fn quantised(value: f32) -> u16 {
+    (value.clamp(0.0, 1.0) * 65535.0 + 0.5) as u16
 }
 
 /// Packs a mask for the loss: a bit per pixel, row by row, 32 per word, the first in the lowest.

@@ -1,16 +1,12 @@
 //! The state of one view while its photograph is compared with renders.
 
-use fled_gpu::{Buffer, Gpu, GpuError};
-
 use super::TrainingView;
-use super::loss::{upload_mask, upload_target};
 use super::schedule::reduced_size;
 use crate::camera::Camera;
 use crate::image::Image;
 use crate::mask::Mask;
 use crate::register::Motion;
-use crate::shake::DeviceKernel;
-use crate::splat::pass::PassRecording;
+use crate::shake::ShakeKernel;
 
 /// One view as given, and the model of its camera and shake.
 pub(super) struct Observed<'a> {
@@ -19,28 +15,15 @@ pub(super) struct Observed<'a> {
     camera: Camera,
     /// From the given camera to the corrected one.
     motion: Motion,
-    /// `None` without shake.
-    pub(super) kernel: Option<DeviceKernel>,
-    /// The packed photograph for the loss, created on first use.
-    target: Option<Buffer<u32>>,
-    /// The packed mask for the loss, created on first use; `None` without one.
-    kept: Option<Buffer<u32>>,
-    /// The recording of a step without the noise field.
-    pub(super) recording: Option<PassRecording>,
+    /// At the size in training; still without shake.
+    pub(super) kernel: ShakeKernel,
 }
 
 impl<'a> Observed<'a> {
     /// The view as given, at its full size.
-    pub(super) fn new(given: &'a TrainingView, kernel: Option<DeviceKernel>) -> Self {
-        Self {
-            camera: given.camera,
-            motion: Motion::default(),
-            target: None,
-            kept: None,
-            recording: None,
-            given,
-            kernel,
-        }
+    pub(super) fn new(given: &'a TrainingView) -> Self {
+        let (camera, motion) = (given.camera, Motion::default());
+        Self { given, camera, motion, kernel: ShakeKernel::still() }
     }
 
     pub(super) fn given(&self) -> &'a TrainingView {
@@ -49,16 +32,15 @@ impl<'a> Observed<'a> {
 
     /// Width and height in training, px.
     pub(super) fn size(&self) -> [usize; 2] {
-        let k = &self.camera.intrinsics;
-        [k.width, k.height]
+        self.camera.size()
     }
 
-    /// Reduces the image by `divisor`.
+    /// Reduces the image by `divisor`, and resets the kernel, which depends on the resolution.
     pub(super) fn reduce(&mut self, divisor: usize) {
         let image = &self.given.image;
         let size = reduced_size(image.width(), image.height(), divisor);
         self.camera = self.full_camera().resized(size.0, size.1);
-        (self.target, self.kept, self.recording) = (None, None, None);
+        self.kernel = ShakeKernel::still();
     }
 
     pub(super) fn camera(&self) -> &Camera {
@@ -94,29 +76,13 @@ impl<'a> Observed<'a> {
         self.given.mask.as_ref().map(|mask| mask.resized(width, height))
     }
 
-    /// The packed mask for the loss, where there is one.
-    pub(super) fn kept(&mut self, gpu: &Gpu) -> Result<Option<Buffer<u32>>, GpuError> {
-        if self.kept.is_none()
-            && let Some(mask) = self.mask(self.size())
-        {
-            self.kept = Some(upload_mask(gpu, &mask)?);
-        }
-        Ok(self.kept.clone())
-    }
-
-    /// The packed photograph for the loss, black where it is masked.
-    pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
-        let target = match self.target.take() {
-            Some(target) => target,
-            None => {
-                let size = self.size();
-                let photograph = self.photograph(size);
-                let black = || Image::new(size[0], size[1]);
-                // Windows at the border of a mask would see the colours behind it.
-                let shown = self.mask(size).map(|mask| mask.composite(&photograph, &black()));
-                upload_target(gpu, &shown.unwrap_or(photograph))?
-            }
-        };
-        Ok(self.target.insert(target).clone())
+    /// The photograph for the loss, black where it is masked, and its mask.
+    pub(super) fn target(&self) -> (Image, Option<Mask>) {
+        let size = self.size();
+        let (photograph, mask) = (self.photograph(size), self.mask(size));
+        // Windows at the border of a mask would see the colours behind it.
+        let black = || Image::new(size[0], size[1]);
+        let shown = mask.as_ref().map(|mask| mask.composite(&photograph, &black()));
+        (shown.unwrap_or(photograph), mask)
     }
 }

@@ -1,12 +1,11 @@
 //! Registration of photographs that did not train.
 
-use fled_gpu::Gpu;
-
+use super::forward_model::ForwardModel;
 use super::forward_model::poses::Correction;
-use super::forward_model::{ForwardModel, Purpose};
 use super::{ReconstructError, TrainingView};
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
+use crate::device::{Device, Scene};
 use crate::gaussians::Gaussians;
 use crate::shake::Response;
 
@@ -18,6 +17,7 @@ pub const CORRECTIONS: u32 = 4;
 /// enters the scene.
 pub struct Registration<'a> {
     model: ForwardModel<'a>,
+    scene: Box<dyn Scene>,
     sh_degree: u32,
 }
 
@@ -28,14 +28,14 @@ impl<'a> Registration<'a> {
     /// # Errors
     /// [`ReconstructError::Empty`] without views or Gaussians; a device error.
     pub fn new(
-        gpu: &Gpu,
+        device: &Device,
         views: &'a [TrainingView],
         scene: &Gaussians,
         shake: Option<&Response>,
     ) -> Result<Self, ReconstructError> {
-        let purpose = Purpose { shake, capacity: scene.len(), gradients: false };
         Ok(Self {
-            model: ForwardModel::new(gpu, views, scene, purpose)?,
+            model: ForwardModel::new(views, scene, shake)?,
+            scene: device.scene(scene)?,
             sh_degree: scene.sh_degree,
         })
     }
@@ -52,8 +52,8 @@ impl<'a> Registration<'a> {
     ) -> Result<Vec<Camera>, ReconstructError> {
         for left in (0..CORRECTIONS).rev() {
             let how = Correction { depth, degree: self.sh_degree, is_coarse: left > 0 };
-            self.model.estimate_shake(self.sh_degree, cancel)?;
-            self.model.correct_cameras(how, cancel)?;
+            self.model.estimate_shake(&mut *self.scene, self.sh_degree, cancel)?;
+            self.model.correct_cameras(&mut *self.scene, how, cancel)?;
         }
         Ok(self.model.cameras())
     }

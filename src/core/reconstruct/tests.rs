@@ -1,6 +1,8 @@
+mod devices;
 mod explained;
 mod interrupted;
 
+use fled_gpu::Gpu;
 use glam::DVec3;
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -9,6 +11,7 @@ use super::*;
 use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
+use crate::device::{ProcessorScene, Shaken};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
 use crate::mask::Mask;
@@ -17,33 +20,25 @@ use crate::noise::NoiseMode;
 use crate::register;
 use crate::shake;
 use crate::splat::fixtures::{self, Random};
-use crate::splat::project::Projection;
-use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
-use crate::splat::rows::{DeviceGaussians, pack_geometry};
-use crate::splat::uniform::{CameraUniform, NEAR};
+use crate::splat::rows::pack_geometry;
 
-/// Renders a scene with the kernels that train it.
 fn render(gaussians: &Gaussians, camera: &Camera) -> Image {
-    render_before(gaussians, camera, [0.0; 3])
+    render_on(&Device::Processor, gaussians, camera)
+}
+
+fn render_on(device: &Device, gaussians: &Gaussians, camera: &Camera) -> Image {
+    let mut scene = device.scene(gaussians).expect("uploaded");
+    scene.render(camera, gaussians.sh_degree).expect("rendered")
 }
 
 fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -> Image {
-    let gpu = fixtures::gpu();
-    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
-    let projection = Projection::new(gpu, gaussians.len()).expect("created");
-    let sizes = SplatSizes { gaussians: gaussians.len(), width, height, intersections: 200_000 };
-    let buffers = SplatBuffers::new(gpu, sizes, false).expect("created");
-    let degree = gaussians.sh_degree;
-    let uniform =
-        CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR).before(background);
-    projection.camera.write(&[uniform]).expect("written");
-    let mut recorder = gpu.recorder();
-    projection.record(&mut recorder, &device).expect("recorded");
-    let forward = Forward::new(Specialisation::for_adapter(gpu.describe()));
-    forward.record(&mut recorder, &projection, &buffers).expect("recorded");
-    recorder.submit().expect("submitted");
-    Image::from_planar(width, height, buffers.image.read().expect("read"))
+    let mut scene = ProcessorScene::new(gaussians);
+    let view = scene.draw(camera, gaussians.sh_degree, background);
+    Image::from_planar(view.size[0], view.size[1], scene.canvas.image)
+}
+
+fn gpu() -> Device {
+    Device::Gpu(fixtures::gpu().clone())
 }
 
 /// Opaque coloured blobs: a scene that its images determine.
@@ -122,11 +117,11 @@ fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> Tra
 }
 
 fn trained(views: &[TrainingView], start: TrainStart, config: &TrainConfig) -> Trained {
-    trained_on(fixtures::gpu(), views, start, config)
+    trained_on(&Device::Processor, views, start, config)
 }
 
 fn trained_on(
-    gpu: &Gpu,
+    device: &Device,
     views: &[TrainingView],
     start: TrainStart,
     config: &TrainConfig,
@@ -138,7 +133,7 @@ fn trained_on(
         seen: None,
         look: None,
     };
-    train(gpu, views, start, config, &mut hooks).expect("trains")
+    train(device, views, start, config, &mut hooks).expect("trains")
 }
 
 fn bytes(scene: &Gaussians) -> Vec<u8> {
@@ -207,7 +202,7 @@ fn the_seen_hook_is_called_every_25_steps_without_effect() {
         look: None,
     };
     let begin = start(&views, &scene, &config);
-    let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
+    let watched = train(&Device::Processor, &views, begin, &config, &mut hooks).expect("trains");
     assert_eq!(bytes(&watched.gaussians), bytes(&alone.gaussians));
     let steps: Vec<u32> = seen.iter().map(|one| one.step).collect();
     assert_eq!(steps, [25, 50]);
@@ -218,10 +213,15 @@ fn the_seen_hook_is_called_every_25_steps_without_effect() {
 
 #[test]
 fn the_look_hook_sees_the_current_scene_without_effect() {
+    looks(&gpu());
+    looks(&Device::Processor);
+}
+
+fn looks(device: &Device) {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
     let config = config(60, 400);
-    let alone = trained(&views, start(&views, &scene, &config), &config);
+    let alone = trained_on(device, &views, start(&views, &scene, &config), &config);
     // Larger than the views in training: the splats touch more tiles than their buffers hold.
     let camera = camera_at(0.3, 640, 480);
     let mut seen = Vec::new();
@@ -238,14 +238,14 @@ fn the_look_hook_sees_the_current_scene_without_effect() {
         }),
     };
     let begin = start(&views, &scene, &config);
-    let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
+    let watched = train(device, &views, begin, &config, &mut hooks).expect("trains");
     assert!(bytes(&watched.gaussians) == bytes(&alone.gaussians));
     let steps: Vec<u32> = seen.iter().map(|(step, ..)| *step).collect();
     assert!([25, 50, 60].iter().all(|step| steps.contains(step)), "{steps:?}");
     let lasts = seen.iter().filter(|(_, is_last, _)| *is_last);
     let last: Vec<_> = lasts.collect();
     assert_eq!((last.len(), last[0].0), (1, 60));
-    assert!(last[0].2 == render(&watched.gaussians, &camera), "as it is delivered");
+    assert!(last[0].2 == render_on(device, &watched.gaussians, &camera), "as it is delivered");
     assert!(seen[0].2 != last[0].2, "it has learnt since");
 }
 
@@ -280,12 +280,14 @@ fn equal_seeds_give_equal_bytes_and_other_seeds_do_not() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = TrainConfig { resolution_schedule: true, ..config(120, 400) };
-    let run = |config: &TrainConfig| {
-        bytes(&trained(&views, start(&views, &scene, config), config).gaussians)
-    };
-    let (first, second) = (run(&config), run(&config));
-    assert!(first == second, "two runs of one seed differ");
-    assert!(first != run(&TrainConfig { seed: 4, ..config.clone() }), "the seed changes nothing");
+    for device in fixtures::devices() {
+        let run = |config: &TrainConfig| {
+            bytes(&trained_on(&device, &views, start(&views, &scene, config), config).gaussians)
+        };
+        let (first, second) = (run(&config), run(&config));
+        assert!(first == second, "two runs of one seed differ");
+        assert!(first != run(&TrainConfig { seed: 4, ..config.clone() }), "the seed has no effect");
+    }
 }
 
 #[test]
@@ -296,9 +298,12 @@ fn a_scene_larger_than_a_binding_trains_to_the_same_bytes() {
     let small = Gpu::binding_at_most("auto", 64 * 1024).expect("an adapter");
     // Adam's moments of the harmonics: 2 x 48 numbers per Gaussian.
     assert_eq!(small.rows_per_part(2 * 48 * 4), 170);
+    let small = Device::Gpu(small);
     let begin = || start(&views, &scene, &config);
-    let (whole, parts) =
-        (trained(&views, begin(), &config), trained_on(&small, &views, begin(), &config));
+    let (whole, parts) = (
+        trained_on(&gpu(), &views, begin(), &config),
+        trained_on(&small, &views, begin(), &config),
+    );
     assert_eq!(whole.gaussians.len(), 500);
     assert!(bytes(&whole.gaussians) == bytes(&parts.gaussians));
 }
@@ -309,7 +314,7 @@ fn a_step_that_overflows_is_repeated_in_larger_buffers() {
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(60, 120);
     let begin = || start(&views, &scene, &config);
-    let small = trainer::Trainer::new(fixtures::gpu(), &views, begin(), &config).expect("made");
+    let small = trainer::Trainer::new(&gpu(), &views, begin(), &config).expect("made");
     let small = small.with_intersections(50);
     let cancel = CancelToken::new();
     let mut hooks = TrainHooks {
@@ -320,7 +325,7 @@ fn a_step_that_overflows_is_repeated_in_larger_buffers() {
         look: None,
     };
     let grown = small.run(&mut hooks).expect("trains");
-    let roomy = trained(&views, begin(), &config);
+    let roomy = trained_on(&gpu(), &views, begin(), &config);
     let quality = |t: &Trained| psnr(&render(&t.gaussians, &views[0].camera), &views[0].image);
     assert!(
         (quality(&grown) - quality(&roomy)).abs() < 1.0,
@@ -342,7 +347,7 @@ fn a_device_waits_for_the_host_only_where_the_scene_is_needed() {
             ..config(steps, 80)
         };
         let begin = start(&views, &scene, &config);
-        let trainer = trainer::Trainer::new(fixtures::gpu(), &views, begin, &config);
+        let trainer = trainer::Trainer::new(&gpu(), &views, begin, &config);
         trainer.expect("made").idle_before(last)
     };
     // Growth every hundred steps; the resolution changes at 500 and 1,500, where kernels begin.
@@ -401,13 +406,24 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let schedule = config(1, 2).schedule();
     let mut random = schedule.generator(schedule::Stream::Densification, 0);
     let plan = densify::plan(&rows, 2, &mut random);
-    let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
-    let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
-    optimizer.relocate(fixtures::gpu(), &device, &plan).expect("relocated");
-    let after = render(&device.download().expect("read"), &camera);
-    let difference: f32 = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs()).sum();
-    let mass: f32 = before.data().iter().sum();
-    assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
+    let setup = training::Setup {
+        gaussians: &scene,
+        capacity: 2,
+        size: [96, 64],
+        views: 1,
+        shake: None,
+        noise: None,
+        accumulates: false,
+    };
+    for device in fixtures::devices() {
+        let mut training = training::begin(&device, &setup).expect("created");
+        training.relocate(&plan).expect("relocated");
+        let after = render(&training.save().expect("read").gaussians(), &camera);
+        let pairs = before.data().iter().zip(after.data());
+        let difference: f32 = pairs.map(|(a, b)| (a - b).abs()).sum();
+        let mass: f32 = before.data().iter().sum();
+        assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
+    }
 }
 
 /// Prints what the host does between the steps of a round. Run with `cargo test --release -p

@@ -1,30 +1,27 @@
 //! The loop over the steps of a round.
 
 mod between;
-mod flight;
 mod population;
 mod saved;
 mod step;
 mod stepper;
 
+use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use fled_gpu::{Buffer, Gpu};
-
-use super::forward_model::{ForwardModel, Purpose, largest};
-use super::level::Level;
-use super::look::{Look, Onlooker};
-use super::optimizer::Optimizer;
+use super::forward_model::ForwardModel;
+use super::look::Look;
+use super::training::{self, Setup, Training};
 use super::{
     Densify, ReconstructError, Schedule, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
     TrainingView,
 };
 use crate::cancel::Cancelled;
+use crate::device::Device;
+use crate::gaussians::Gaussians;
 use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
-use crate::noise::{NoiseField, NoiseMode};
-use crate::splat::rasterize::{Backward, Specialisation};
+use crate::noise::NoiseMode;
 use between::Kept;
-use flight::Flight;
 pub use stepper::Stepper;
 
 /// Steps in flight.
@@ -40,22 +37,18 @@ const TOLD: u32 = 25;
 
 /// The state of a round.
 pub(super) struct Trainer<'a> {
-    gpu: &'a Gpu,
     config: &'a TrainConfig,
     schedule: Schedule,
     model: ForwardModel<'a>,
-    level: Level,
-    backward: Backward,
-    optimizer: Optimizer,
-    prediction: Buffer<f32>,
-    gradient: Buffer<f32>,
-    noise: Option<NoiseField>,
+    scene: Box<dyn Training>,
+    /// 4, 2 or 1: what the images are reduced by.
+    divisor: usize,
     noise_seen: Vec<NoiseMapStatistics>,
-    onlooker: Onlooker,
     warnings: Vec<String>,
     next: u32,
+    /// Steps to repeat, the next one first.
+    again: VecDeque<u32>,
     start_count: usize,
-    last_view: usize,
     /// The steps submitted while nothing was in flight.
     #[cfg(test)]
     idle: Vec<u32>,
@@ -71,42 +64,27 @@ pub(super) struct Trainer<'a> {
 
 impl<'a> Trainer<'a> {
     pub(super) fn new(
-        gpu: &'a Gpu,
+        device: &Device,
         views: &'a [TrainingView],
         start: TrainStart,
         config: &'a TrainConfig,
     ) -> Result<Self, ReconstructError> {
         let (gaussians, checkpoint) = match start {
             TrainStart::Fresh(gaussians) => (gaussians.with_sh_degree(config.sh_degree), None),
-            TrainStart::Resume(checkpoint) => (checkpoint.gaussians(), Some(checkpoint)),
+            TrainStart::Resume(checkpoint) => (checkpoint.state.gaussians(), Some(checkpoint)),
         };
-        let purpose = Purpose {
-            shake: config.shake.as_ref(),
-            capacity: config.cap.max(gaussians.len()),
-            gradients: true,
-        };
-        let mut model = ForwardModel::new(gpu, views, &gaussians, purpose)?;
+        let model = ForwardModel::new(views, &gaussians, config.shake.as_ref())?;
         let schedule = config.schedule();
         let divisor = schedule.divisor(0);
-        model.reduce(divisor)?;
-        let accumulates = config.densify == Densify::Classic;
-        let size = largest(views);
-        let values = 3 * size[0] * size[1];
+        let scene = training::begin(device, &setup(views, &gaussians, config))?;
         let mut trainer = Self {
-            optimizer: Optimizer::new(gpu, &model.pass.gaussians, accumulates)?,
-            backward: Backward::new(Specialisation::for_adapter(gpu.describe())),
-            prediction: gpu.create("prediction", values)?,
-            gradient: gpu.create("image gradient", values)?,
-            level: Level::new(gpu, &model.views, divisor)?,
-            noise: (config.noise == NoiseMode::Paper)
-                .then(|| NoiseField::new(gpu, config.seed, size))
-                .transpose()?,
+            scene,
+            divisor,
             noise_seen: Vec::new(),
-            onlooker: Onlooker::default(),
             warnings: Vec::new(),
             next: 0,
+            again: VecDeque::new(),
             start_count: gaussians.len(),
-            last_view: 0,
             #[cfg(test)]
             idle: Vec::new(),
             seconds_before: 0.0,
@@ -115,10 +93,10 @@ impl<'a> Trainer<'a> {
             checkpoint_every: CHECKPOINT_EVERY,
             progress_every: PROGRESS_EVERY,
             model,
-            gpu,
             config,
             schedule,
         };
+        trainer.set_level(divisor)?;
         if let Some(checkpoint) = checkpoint {
             trainer.restore(&checkpoint)?;
         }
@@ -138,7 +116,6 @@ impl<'a> Trainer<'a> {
         let begin = Instant::now();
         let first = self.next;
         let (mut told, mut kept) = (begin, Kept::now(first));
-        let mut flight = Flight::default();
         loop {
             let is_asked = hooks.cancel.is_cancelled();
             if is_asked && hooks.checkpoint.is_none() {
@@ -146,8 +123,8 @@ impl<'a> Trainer<'a> {
             }
             let end = self.next == last;
             if end || self.is_sync(self.next) {
-                self.settle(&mut flight, 0)?;
-                if flight.redo.is_empty() {
+                self.settle(0)?;
+                if self.again.is_empty() {
                     self.check_finite()?;
                     if !end && self.next > first && self.next.is_multiple_of(INSPECT) {
                         self.inspect_noise()?;
@@ -169,18 +146,17 @@ impl<'a> Trainer<'a> {
                     self.seconds_between.checkpoints += begun.elapsed().as_secs_f64();
                     self.prepare_or_stop(hooks, &kept)?;
                 }
-            } else if is_asked && flight.is_done()? {
+            } else if is_asked && self.again.is_empty() && self.scene.is_done()? {
                 return Err(self.stop(hooks, &kept)?.into());
             }
-            let step = flight.redo.pop_front().unwrap_or_else(|| {
+            let step = self.again.pop_front().unwrap_or_else(|| {
                 self.next += 1;
                 self.next - 1
             });
             #[cfg(test)]
-            self.idle.extend(flight.is_empty().then_some(step));
+            self.idle.extend((self.scene.in_flight() == 0).then_some(step));
             self.submit(step)?;
-            flight.begin(step, self.model.pass.buffers().counts()?);
-            self.settle(&mut flight, IN_FLIGHT - 1)?;
+            self.settle(IN_FLIGHT - 1)?;
             if told.elapsed() >= self.progress_every {
                 told = Instant::now();
                 let rate = f64::from(self.next - first) / begin.elapsed().as_secs_f64();
@@ -195,11 +171,7 @@ impl<'a> Trainer<'a> {
             return Ok(());
         };
         if self.next > first && self.next.is_multiple_of(TOLD) {
-            seen(Seen {
-                step: self.next,
-                loss: self.loss()?,
-                gaussians: self.model.pass.gaussians.count,
-            });
+            seen(Seen { step: self.next, loss: self.scene.loss()?, gaussians: self.scene.count() });
         }
         Ok(())
     }
@@ -213,19 +185,11 @@ impl<'a> Trainer<'a> {
             look(&mut Look {
                 step: self.next,
                 is_last: self.next == self.config.steps,
-                gpu: self.gpu,
-                gaussians: &self.model.pass.gaussians,
                 degree: self.schedule.degree(self.next - 1),
-                onlooker: &mut self.onlooker,
+                scene: &mut *self.scene,
             })?;
         }
         Ok(())
-    }
-
-    /// The loss of the last step's view.
-    fn loss(&self) -> Result<f64, ReconstructError> {
-        let last_view = &self.model.views[self.last_view];
-        Ok(self.level.loss(last_view).value()?.total)
     }
 
     /// Wall seconds of the round so far, in all processes.
@@ -234,19 +198,19 @@ impl<'a> Trainer<'a> {
     }
 
     fn finish(self) -> Result<Trained, ReconstructError> {
-        let final_loss = self.loss()?;
+        let state = self.scene.save()?;
         Ok(Trained {
-            gaussians: self.model.pass.gaussians.download()?.without_unusable(),
+            gaussians: state.gaussians().without_unusable(),
             steps: u64::from(self.config.steps),
             seconds: self.seconds(),
             between: self.seconds_between,
-            non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
+            non_finite_gradients: u64::from(state.non_finite),
             noise: mean_statistics(&self.noise_seen),
             shake_px: self.model.mean_spread(),
             kernels: self.model.explained(),
             cameras: self.model.cameras(),
+            final_loss: self.scene.loss()?,
             warnings: self.warnings,
-            final_loss,
         })
     }
 }
@@ -318,8 +282,27 @@ impl Trainer<'_> {
 
     /// The trainer with room for this number of intersections.
     pub(super) fn with_intersections(mut self, intersections: usize) -> Self {
-        self.model.pass.set_room(intersections).expect("made");
+        let mut state = self.scene.save().expect("read");
+        state.intersections = intersections as u32;
+        self.restore_scene(&state).expect("made");
         self
+    }
+}
+
+fn setup<'s>(
+    views: &[TrainingView],
+    gaussians: &'s Gaussians,
+    config: &'s TrainConfig,
+) -> Setup<'s> {
+    let most = |side: fn(&TrainingView) -> usize| views.iter().map(side).max().unwrap_or(0);
+    Setup {
+        gaussians,
+        capacity: config.cap.max(gaussians.len()),
+        size: [most(|view| view.image.width()), most(|view| view.image.height())],
+        views: views.len(),
+        shake: config.shake.as_ref(),
+        noise: (config.noise == NoiseMode::Paper).then_some(config.seed),
+        accumulates: config.densify == Densify::Classic,
     }
 }
 

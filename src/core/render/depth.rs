@@ -95,8 +95,8 @@ impl Depth {
 mod tests {
     use super::*;
     use crate::camera::Intrinsics;
+    use crate::device::Device;
     use crate::render::Renderer;
-    use crate::splat::fixtures;
 
     const SIDE: usize = 64;
 
@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn depth_is_that_of_the_visible_surface_or_none() {
         let (scene, camera) = walls();
-        let renderer = Renderer::new(fixtures::gpu());
+        let renderer = Renderer::new(&Device::Processor);
         let depth = renderer.depth(&scene, &camera).expect("rendered");
         let (near, far) = (depth.at(12, 32), depth.at(52, 32));
         let is_near = |found: Option<f32>, wanted: f32| {
@@ -152,7 +152,7 @@ mod tests {
     fn a_scene_behind_the_camera_has_no_depth() {
         let (mut scene, camera) = walls();
         scene.means.iter_mut().for_each(|mean| mean[2] *= -1.0);
-        let renderer = Renderer::new(fixtures::gpu());
+        let renderer = Renderer::new(&Device::Processor);
         let depth = renderer.depth(&scene, &camera).expect("rendered");
         assert_eq!(depth.at(12, 32), None);
         assert!(depth.picture().data().iter().all(|&v| v == 0.0));

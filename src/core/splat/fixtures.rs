@@ -7,12 +7,18 @@ use glam::DVec3;
 
 use super::reference::{Projected, Viewpoint};
 use crate::camera::{Camera, Intrinsics};
+use crate::device::Device;
 use crate::gaussians::Gaussians;
 
 /// The one device of the test process. Panics without an adapter.
 pub fn gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do"))
+}
+
+/// That device and the processor.
+pub fn devices() -> [Device; 2] {
+    [Device::Gpu(gpu().clone()), Device::Processor]
 }
 
 /// A small deterministic generator.

@@ -6,7 +6,7 @@ use fled_gpu::{Buffer, Gpu, GpuError, Recorder, Recording, Submission};
 use super::project::Projection;
 use super::rasterize::{Forward, SlotRows, Specialisation, SplatBuffers, SplatCounts, SplatSizes};
 use super::rows::DeviceGaussians;
-use super::uniform::{CameraUniform, NEAR};
+use super::uniform::{CameraUniform, NEAR, TILE};
 use crate::camera::Camera;
 use crate::image::Image;
 
@@ -57,12 +57,11 @@ impl ForwardPass {
         size: [usize; 2],
         gradients: bool,
     ) -> Result<Self, GpuError> {
-        let guess = TILES_PER_SPLAT * gaussians.capacity + SPARE_INTERSECTIONS;
         let sizes = SplatSizes {
             gaussians: gaussians.capacity,
             width: size[0],
             height: size[1],
-            intersections: bounded(gpu, guess, gradients),
+            intersections: guess(gpu, gaussians.capacity, size, gradients),
         };
         Ok(Self {
             projection: Projection::new(gpu, gaussians.capacity)?,
@@ -162,18 +161,27 @@ impl ForwardPass {
     /// # Errors
     /// As [`ForwardPass::make_room`].
     pub fn set_size(&mut self, [width, height]: [usize; 2]) -> Result<(), GpuError> {
-        let sizes = SplatSizes { width, height, ..self.buffers.sizes() };
-        if sizes == self.buffers.sizes() {
-            return Ok(());
-        }
-        self.make_buffers(sizes)
+        let sizes = self.buffers.sizes();
+        let guess = guess(&self.gpu, sizes.gaussians, [width, height], self.gradients);
+        let intersections = sizes.intersections.max(guess);
+        self.make_buffers(SplatSizes { width, height, intersections, ..sizes })
     }
 
     fn make_buffers(&mut self, sizes: SplatSizes) -> Result<(), GpuError> {
+        if sizes == self.buffers.sizes() {
+            return Ok(());
+        }
         self.buffers = SplatBuffers::new(&self.gpu, sizes, self.gradients)?;
         self.generation += 1;
         Ok(())
     }
+}
+
+/// Room for the intersections of the first image.
+fn guess(gpu: &Gpu, gaussians: usize, size: [usize; 2], gradients: bool) -> usize {
+    let tiles = size.map(|side| side.div_ceil(TILE as usize)).iter().product::<usize>();
+    let most = tiles * gaussians.max(1);
+    bounded(gpu, most.min(TILES_PER_SPLAT * gaussians + SPARE_INTERSECTIONS), gradients)
 }
 
 /// The rows of a backward pass are the first to reach the adapter's binding limit.

@@ -29,7 +29,7 @@ impl Random {
 fn scene(count: usize) -> Population {
     let mut random = Random(7);
     let log_scale = (0.024 * (10_000.0 / count as f32).sqrt()).ln();
-    Population::from_fn(3, count, |_, at| {
+    let scene = Population::from_fn(3, count, |_, at| {
         let value = random.signed();
         match at {
             column::MEAN..column::LOG_SCALE => BOX[at] * value,
@@ -39,7 +39,8 @@ fn scene(count: usize) -> Population {
             _ if at < column::HARMONICS + 3 => value,
             _ => 0.1 * value,
         }
-    })
+    });
+    scene.in_training()
 }
 
 /// Three units in front of the box.

@@ -9,6 +9,7 @@ use super::error::BenchError;
 use super::options::Budget;
 use super::subject::Subject;
 use fled_core::cancel::CancelToken;
+use fled_core::device::Device;
 use fled_core::splat::rasterize::SplatCounts;
 
 /// Steps before the measurement, which compile kernels and grow buffers.
@@ -43,7 +44,7 @@ pub(super) struct Profiled {
 }
 
 pub(super) fn measure(
-    gpu: &Gpu,
+    device: &Device,
     subject: &mut impl Subject,
     budget: Budget,
     cancel: &CancelToken,
@@ -56,7 +57,9 @@ pub(super) fn measure(
     let seconds = begin.elapsed().as_secs_f64();
     let mut counts = Vec::from_iter(subject.counts()?);
     let mut profiled = None;
-    if gpu.describe().timestamps {
+    if let Device::Gpu(gpu) = device
+        && gpu.describe().timestamps
+    {
         let outcome = profile(gpu, subject, (budget, least), cancel, &mut counts);
         gpu.profile(false);
         profiled = Some(outcome?);

@@ -2,18 +2,18 @@
 
 use std::collections::BTreeMap;
 
-use fled_gpu::Gpu;
 use serde::Serialize;
 
 use super::measure::{Measured, Profiled, median};
 use super::options::BenchOptions;
 use super::roofline::Peak;
+use fled_core::device::Device;
 use fled_core::metrics;
 use fled_core::metrics::report::BetweenSteps;
 use fled_core::noise::NoiseMode;
 
 /// Version of the JSON schema.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// The result of a benchmark.
 #[derive(Clone, Debug, Serialize)]
@@ -43,7 +43,7 @@ pub struct Machine {
     pub adapter: String,
     /// Driver and its version.
     pub driver: String,
-    /// The graphics API, such as `vulkan`.
+    /// The graphics API, such as `vulkan`, or `processor`.
     pub backend: String,
     /// Kind of hardware.
     pub device_type: String,
@@ -95,8 +95,8 @@ pub struct Case {
     pub profiled_milliseconds: Option<f64>,
     /// Median of the sum of the kernels in a step, ms.
     pub kernel_milliseconds: Option<f64>,
-    /// Peak bytes in buffers on the device.
-    pub gpu_peak_bytes: u64,
+    /// Peak bytes in buffers on the GPU; `None` on the processor.
+    pub gpu_peak_bytes: Option<u64>,
     /// Kernels, the longest first; empty on a device without timestamps.
     pub kernels: Vec<KernelRow>,
 }
@@ -140,8 +140,8 @@ pub struct JobTimes {
     pub stages: BTreeMap<String, f64>,
     /// Wall seconds of the job.
     pub seconds: f64,
-    /// Peak bytes in buffers on the device.
-    pub gpu_peak_bytes: u64,
+    /// Peak bytes in buffers on the GPU; `None` on the processor.
+    pub gpu_peak_bytes: Option<u64>,
 }
 
 impl Report {
@@ -171,7 +171,19 @@ impl Report {
 }
 
 impl Machine {
-    pub(super) fn of(gpu: &Gpu) -> Self {
+    pub(super) fn of(device: &Device) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+        let Device::Gpu(gpu) = device else {
+            return Self {
+                adapter: device.to_string(),
+                driver: concat!("fled-cpu ", env!("CARGO_PKG_VERSION")).to_owned(),
+                backend: "processor".to_owned(),
+                device_type: "cpu".to_owned(),
+                subgroup: None,
+                timestamps: false,
+                threads,
+            };
+        };
         let info = gpu.describe();
         Self {
             adapter: info.name.clone(),
@@ -180,7 +192,7 @@ impl Machine {
             device_type: format!("{:?}", info.device_type).to_lowercase(),
             subgroup: info.subgroup,
             timestamps: info.timestamps,
-            threads: std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
+            threads,
         }
     }
 }
@@ -198,7 +210,7 @@ impl Case {
         name: String,
         task: &'static str,
         measured: &Measured,
-        gpu_peak_bytes: u64,
+        gpu_peak_bytes: Option<u64>,
     ) -> Self {
         let counts = measured.counts;
         let profiled = measured.profiled.as_ref();
@@ -237,7 +249,12 @@ fn kernels(profiled: &Profiled) -> Vec<KernelRow> {
 
 impl JobTimes {
     /// Reads the report of a finished run that took `seconds`.
-    pub fn new(preset: &str, report: &metrics::Report, seconds: f64, gpu_peak_bytes: u64) -> Self {
+    pub fn new(
+        preset: &str,
+        report: &metrics::Report,
+        seconds: f64,
+        gpu_peak_bytes: Option<u64>,
+    ) -> Self {
         let last = report.rounds.last();
         Self {
             preset: preset.to_owned(),

@@ -3,6 +3,8 @@
 use std::time::Instant;
 
 use bytemuck::{Pod, Zeroable};
+use fled_core::device::Device;
+use fled_cpu::roofline;
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recording, read, read_write, uniform};
 
 use super::measure::median;
@@ -50,7 +52,35 @@ impl RooflineUniform {
     }
 }
 
-pub(super) fn measure(gpu: &Gpu) -> Result<Peak, GpuError> {
+pub(super) fn measure(device: &Device) -> Result<Peak, GpuError> {
+    match device {
+        Device::Gpu(gpu) => of_gpu(gpu),
+        Device::Processor => Ok(of_processor()),
+    }
+}
+
+fn of_processor() -> Peak {
+    const TASKS: usize = 64;
+    const ROUNDS: u32 = 20_000;
+    let median_of = |work: &mut dyn FnMut()| {
+        let seconds = |_| {
+            let begin = Instant::now();
+            work();
+            begin.elapsed().as_secs_f64()
+        };
+        median((0..REPEATS).map(seconds).collect()).max(1e-9)
+    };
+    let arithmetic = median_of(&mut || {
+        std::hint::black_box(roofline::multiply_adds(TASKS, ROUNDS));
+    });
+    let operations = TASKS as u64 * u64::from(ROUNDS) * roofline::OPERATIONS;
+    let source = vec![1.0; COPIED as usize / size_of::<f32>()];
+    let mut copied = vec![0.0; source.len()];
+    let copying = median_of(&mut || roofline::copy(&source, &mut copied));
+    Peak { operations: operations as f64 / arithmetic, bytes: (2 * COPIED) as f64 / copying }
+}
+
+fn of_gpu(gpu: &Gpu) -> Result<Peak, GpuError> {
     Ok(Peak { operations: arithmetic(gpu)?, bytes: bandwidth(gpu)? })
 }
 
@@ -121,8 +151,10 @@ mod tests {
 
     #[test]
     fn the_device_computes_and_copies_something() {
-        let found = measure(&gpu()).expect("measured");
-        assert!(found.operations > 1e6 && found.bytes > 1e6, "{found:?}");
+        for device in [Device::Gpu(gpu()), Device::Processor] {
+            let found = measure(&device).expect("measured");
+            assert!(found.operations > 1e6 && found.bytes > 1e6, "{found:?}");
+        }
     }
 
     #[test]

@@ -7,6 +7,7 @@ use rand_pcg::Pcg64;
 use super::error::BenchError;
 use super::workload::Workload;
 use fled_core::cancel::CancelToken;
+use fled_core::device::Device;
 use fled_core::image::Image;
 use fled_core::reconstruct::Stepper;
 use fled_core::reconstruct::loss::{Loss, upload_target};
@@ -52,8 +53,8 @@ pub(super) struct Rendering<'a> {
 }
 
 impl<'a> Rendering<'a> {
-    pub(super) fn new(gpu: &Gpu, workload: &'a Workload) -> Result<Self, BenchError> {
-        let renderer = Renderer::new(gpu);
+    pub(super) fn new(device: &Device, workload: &'a Workload) -> Result<Self, BenchError> {
+        let renderer = Renderer::new(device);
         let scene = renderer.upload(&workload.gaussians)?;
         Ok(Self { renderer, scene, workload })
     }
@@ -68,7 +69,7 @@ impl Subject for Rendering<'_> {
     }
 
     fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
-        Ok(self.scene.counts()?)
+        Ok(Some(self.scene.counts()?))
     }
 }
 

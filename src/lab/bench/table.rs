@@ -64,14 +64,18 @@ fn case_lines(case: &Case) -> String {
     line(
         &mut out,
         format_args!(
-            "\n{}: {:.2}/s, {:.3} ms{sum}, {} MB on the device{counts}",
+            "\n{}: {:.2}/s, {:.3} ms{sum}{}{counts}",
             case.name,
             case.steps_per_second,
             case.milliseconds,
-            megabytes(case.gpu_peak_bytes)
+            on_gpu(case.gpu_peak_bytes)
         ),
     );
     out + &case.kernels.iter().map(kernel_line).collect::<String>()
+}
+
+fn on_gpu(peak: Option<u64>) -> String {
+    peak.map_or(String::new(), |bytes| format!(", {} MB on the GPU", megabytes(bytes)))
 }
 
 fn kernel_line(kernel: &KernelRow) -> String {
@@ -91,7 +95,7 @@ fn job_lines(job: &JobTimes) -> String {
         &mut out,
         format_args!(
             "\nthe whole job, preset {}: {:.1} s, {} views, {} rounds, {} steps ({:.1}/s in the last round), \
-             {} Gaussians, {} MB on the device",
+             {} Gaussians{}",
             job.preset,
             job.seconds,
             job.views,
@@ -99,7 +103,7 @@ fn job_lines(job: &JobTimes) -> String {
             job.steps,
             job.steps_per_second,
             job.gaussians,
-            megabytes(job.gpu_peak_bytes)
+            on_gpu(job.gpu_peak_bytes)
         ),
     );
     for (stage, seconds) in

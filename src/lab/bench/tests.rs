@@ -5,8 +5,9 @@ use std::sync::OnceLock;
 
 use super::*;
 
-fn gpu() -> Gpu {
-    Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do")
+fn gpu() -> Device {
+    let gpu = Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do");
+    Device::Gpu(gpu)
 }
 
 fn tiny() -> BenchOptions {
@@ -32,7 +33,7 @@ fn every_case_and_its_kernels_are_in_the_table() {
     assert_eq!(names, ["train", "render", "train", "train", "ssim", "sort"]);
     let table = report.table();
     for case in &report.cases {
-        assert!(case.steps_per_second > 0.0 && case.gpu_peak_bytes > 0, "{case:?}");
+        assert!(case.steps_per_second > 0.0 && case.gpu_peak_bytes > Some(0), "{case:?}");
         assert!(table.contains(&case.name), "{}", case.name);
         if !report.machine.timestamps {
             continue;
@@ -79,40 +80,54 @@ fn the_extras_of_a_training_step_add_their_kernels() {
 
 #[test]
 fn synthetic_scenes_are_reproducible_and_like_trained_ones() {
-    let gpu = &gpu();
+    let device = &Device::Processor;
     let options = BenchOptions { sizes: vec![(280, 160)], gaussians: vec![10_000], ..tiny() };
     let plan = Plan::Render { size: (280, 160), gaussians: 10_000 };
-    let bench = Bench { gpu, options: &options, cancel: &CancelToken::new() };
+    let bench = Bench { device, options: &options, cancel: &CancelToken::new() };
     let case = plan.measure(&bench).expect("measured");
     let (visible, intersections) = (case.visible.unwrap(), case.intersections.unwrap());
     let each = intersections as f64 / visible as f64;
     assert!((3.0..4.0).contains(&each) && visible > 8_000, "{intersections} of {visible} visible");
-    let again = || Workload::synthetic(gpu, (64, 48), 50, 9).expect("made");
+    let again = || Workload::synthetic(device, (64, 48), 50, 9).expect("made");
     assert_eq!(again().gaussians, again().gaussians);
-    let other = Workload::synthetic(gpu, (64, 48), 50, 10).expect("made");
+    let other = Workload::synthetic(device, (64, 48), 50, 10).expect("made");
     assert_ne!(again().gaussians, other.gaussians);
+}
+
+#[test]
+fn the_processor_trains_and_renders_but_has_no_kernels_of_a_gpu() {
+    let cancel = CancelToken::new();
+    let report = run(&Device::Processor, &tiny(), &mut |_, _, _| {}, &cancel).expect("measured");
+    let names: Vec<_> = report.cases.iter().map(|case| case.task).collect();
+    assert_eq!(names, ["train", "render", "train", "train"]);
+    let is_measured = |case: &Case| case.steps_per_second > 0.0 && case.gpu_peak_bytes.is_none();
+    assert!(report.cases.iter().all(is_measured) && report.roofline.fma_gflops > 0.0);
+    assert!(report.table().contains("processor"), "{}", report.table());
 }
 
 #[test]
 fn the_json_has_null_for_missing_values() {
     let json = serde_json::to_value(report()).expect("JSON");
-    assert_eq!(json["format"], 2);
+    assert_eq!(json["format"], 3);
     assert_eq!(json["cases"][0]["noise"], "off");
     assert!(json["job"].is_null() && json["cases"][4]["visible"].is_null());
 }
 
 #[test]
 fn empty_options_and_cancellation_are_errors() {
-    let gpu = &gpu();
+    let device = &Device::Processor;
     let none = BenchOptions { sizes: Vec::new(), ..tiny() };
-    let outcome = run(gpu, &none, &mut |_, _, _| {}, &CancelToken::new());
+    let outcome = run(device, &none, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Empty("size"))));
     let long = BenchOptions { budget: Budget { seconds: 1.0, steps: MOST_STEPS + 1 }, ..tiny() };
-    let outcome = run(gpu, &long, &mut |_, _, _| {}, &CancelToken::new());
+    let outcome = run(device, &long, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Steps(2_001))));
     let cancel = CancelToken::new();
     cancel.cancel();
-    assert!(matches!(run(gpu, &tiny(), &mut |_, _, _| {}, &cancel), Err(BenchError::Cancelled(_))));
+    assert!(matches!(
+        run(device, &tiny(), &mut |_, _, _| {}, &cancel),
+        Err(BenchError::Cancelled(_))
+    ));
     let missing = Workload::of_run(std::path::Path::new("/nowhere/at/all"));
     assert!(matches!(missing, Err(BenchError::Run(message)) if message.contains("cameras.json")));
 }

@@ -3,13 +3,13 @@
 
 use std::path::Path;
 
-use fled_gpu::Gpu;
 use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::error::BenchError;
 use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
+use fled_core::device::Device;
 use fled_core::gaussians::Gaussians;
 use fled_core::gaussians::ply::{self, Scene};
 use fled_core::image::{Image, Linear};
@@ -49,13 +49,13 @@ impl Workload {
     /// # Errors
     /// Rendering failed, typically out of memory.
     pub fn synthetic(
-        gpu: &Gpu,
+        device: &Device,
         size: (usize, usize),
         gaussians: usize,
         seed: u64,
     ) -> Result<Self, BenchError> {
         let scene = random_scene(gaussians, seed);
-        let renderer = Renderer::new(gpu);
+        let renderer = Renderer::new(device);
         let uploaded = renderer.upload(&scene)?;
         let view = |index: usize| -> Result<TrainingView, BenchError> {
             let camera = camera(index, size);

@@ -1,7 +1,6 @@
 //! A made-up scene, judged by its own renders in another world.
 
 use std::path::Path;
-use std::sync::OnceLock;
 
 use glam::{DQuat, DVec3};
 
@@ -40,12 +39,6 @@ fn poses() -> Poses {
     Poses { views: cameras().into_iter().map(view).collect(), ..Poses::default() }
 }
 
-/// The one device of the tests. A missing adapter fails them.
-fn gpu() -> &'static Gpu {
-    static GPU: OnceLock<Gpu> = OnceLock::new();
-    GPU.get_or_init(|| Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do"))
-}
-
 /// A cloud of Gaussians around the origin.
 fn gaussians() -> Gaussians {
     let mut random = Pcg64Mcg::seed_from_u64(7);
@@ -74,7 +67,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         rotation: DQuat::from_scaled_axis(DVec3::new(0.3, -0.8, 0.2)),
         translation: DVec3::new(4.0, -1.0, 2.0),
     };
-    let renderer = Renderer::new(gpu());
+    let renderer = Renderer::new(&Device::Processor);
     let scene = renderer.upload(&subject().gaussians).expect("uploads");
     let views = cameras().into_iter().enumerate().map(|(index, named)| {
         let camera = named.camera();
@@ -108,7 +101,7 @@ fn judge(subject: &Subject, truth: &Truth, inside: bool) -> Result<Evaluation, E
         seen_from: subject,
         masks: None,
         inside,
-        gpu: gpu(),
+        device: &Device::Processor,
         lpips: None,
         cancel: &CancelToken::default(),
     })?;

@@ -82,9 +82,9 @@ fn found_with(
     let capture = Capture::open(home.path(), &home.path().join("scratch")).expect("a capture");
     let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
     let (sfm, mut warnings) = (NeedsLight::default(), Vec::new());
-    let gpu = fled_gpu::Gpu::new("auto").expect("the tests need a Vulkan adapter");
+    let device = crate::device::Device::Processor;
     let mut tools = Tools {
-        gpu: &gpu,
+        device: &device,
         sfm: &sfm,
         matching: None,
         deblurrer,

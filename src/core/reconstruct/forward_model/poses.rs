@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use super::ForwardModel;
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
+use crate::device::{Scene, Shaken};
 use crate::image::Image;
 use crate::mask::Mask;
 use crate::reconstruct::ReconstructError;
@@ -69,10 +70,11 @@ impl ForwardModel<'_> {
     /// removed.
     pub(in crate::reconstruct) fn refine_poses(
         &mut self,
+        scene: &mut dyn Scene,
         how: Correction,
         cancel: &CancelToken,
     ) -> Result<(), ReconstructError> {
-        self.correct_cameras(how, cancel)?;
+        self.correct_cameras(scene, how, cancel)?;
         let given: Vec<Camera> = self.views.iter().map(|view| view.given().camera).collect();
         let mut motions: Vec<Motion> = self.views.iter().map(Observed::motion).collect();
         register::hold_gauge(&given, &mut motions);
@@ -84,14 +86,15 @@ impl ForwardModel<'_> {
     /// render fit worse.
     pub(in crate::reconstruct) fn correct_cameras(
         &mut self,
+        scene: &mut dyn Scene,
         how: Correction,
         cancel: &CancelToken,
     ) -> Result<(), ReconstructError> {
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
-            let seen =
-                some.iter().map(|&view| self.probe(view, how)).collect::<Result<Vec<_>, _>>()?;
+            let seen = some.iter().map(|&view| self.probe(scene, view, how));
+            let seen = seen.collect::<Result<Vec<_>, _>>()?;
             let corrections: Vec<_> = seen.par_iter().map(Probed::correction).collect();
             for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
                 let Some(correction) = correction else {
@@ -100,7 +103,7 @@ impl ForwardModel<'_> {
                 let motion = self.views[view].motion().plus(&correction);
                 let size = how.size(self.views[view].size());
                 let camera = self.views[view].camera_after(&motion, size);
-                let after = self.render_shaken(view, &camera, how)?;
+                let after = self.render(scene, view, &camera, how)?;
                 if seen.is_worse_than(&after) {
                     self.views[view].move_to(motion);
                 }
@@ -110,42 +113,37 @@ impl ForwardModel<'_> {
     }
 
     /// Renders the scene with the shake of `view` applied.
-    fn render_shaken(
-        &mut self,
+    fn render(
+        &self,
+        scene: &mut dyn Scene,
         view: usize,
         camera: &Camera,
         how: Correction,
     ) -> Result<Image, GpuError> {
-        let (Some(shake), Some(own), Some(kernel)) =
-            (&self.shake, &self.views[view].kernel, &mut self.kernel)
-        else {
-            return self.render(camera, how.degree);
+        let Some(response) = &self.response else {
+            return scene.render(camera, how.degree);
         };
-        let taps = match how.halves(self.views[view].size()) {
-            true => own.kernel().halved(),
-            false => own.kernel().clone(),
-        };
-        let size = [camera.intrinsics.width, camera.intrinsics.height];
-        shake.set(kernel, size, taps)?;
-        let kernel = &*kernel;
-        self.pass.image(camera, how.degree, |pass| {
-            let mut recorder = pass.recorder()?;
-            shake.record_forward(&mut recorder, kernel, &pass.buffers().image)?;
-            recorder.submit()?;
-            Ok(shake.blurred().clone())
-        })
+        let view = &self.views[view];
+        let halved = how.halves(view.size()).then(|| view.kernel.halved());
+        let kernel = halved.as_ref().unwrap_or(&view.kernel);
+        scene.render_shaken(camera, how.degree, Shaken { kernel, response })
     }
 
-    fn probe(&mut self, view: usize, how: Correction) -> Result<Probed, GpuError> {
+    fn probe(
+        &self,
+        scene: &mut dyn Scene,
+        view: usize,
+        how: Correction,
+    ) -> Result<Probed, GpuError> {
         let size = how.size(self.views[view].size());
         let motion = self.views[view].motion();
         let camera = self.views[view].camera_after(&motion, size);
-        let render = self.render_shaken(view, &camera, how)?;
+        let render = self.render(scene, view, &camera, how)?;
         let probes = register::probes(&camera, how.depth);
         let mut probed = Vec::with_capacity(probes.len());
         for probe in &probes {
             let moved = self.views[view].camera_after(&motion.plus(probe), size);
-            probed.push(self.render_shaken(view, &moved, how)?);
+            probed.push(self.render(scene, view, &moved, how)?);
         }
         let probed =
             probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;

@@ -1,14 +1,14 @@
 //! Estimation of the views' shake by renders of the current scene.
 
-use fled_gpu::GpuError;
 use rayon::prelude::*;
 
 use super::ForwardModel;
 use crate::cancel::CancelToken;
+use crate::device::Scene;
 use crate::image::Image;
 use crate::mask::Mask;
 use crate::reconstruct::ReconstructError;
-use crate::shake::{self, DeviceKernel, ShakeKernel};
+use crate::shake::{self, ShakeKernel};
 
 /// Number of renders held at once.
 const AT_ONCE: usize = 8;
@@ -17,10 +17,11 @@ impl ForwardModel<'_> {
     /// Solves again for the kernels of all views that may have one.
     pub(in crate::reconstruct) fn estimate_shake(
         &mut self,
+        scene: &mut dyn Scene,
         degree: u32,
         cancel: &CancelToken,
     ) -> Result<(), ReconstructError> {
-        let Some(response) = self.shake.as_ref().map(|shake| shake.response().clone()) else {
+        let Some(response) = &self.response else {
             return Ok(());
         };
         let all: Vec<usize> =
@@ -29,8 +30,7 @@ impl ForwardModel<'_> {
             cancel.check()?;
             let mut renders = Vec::with_capacity(some.len());
             for &view in some {
-                let camera = *self.views[view].camera();
-                renders.push(self.render(&camera, degree)?);
+                renders.push(scene.render(self.views[view].camera(), degree)?);
             }
             let seen = some.iter().map(|&view| {
                 let view = &self.views[view];
@@ -41,55 +41,34 @@ impl ForwardModel<'_> {
                 .par_iter()
                 .zip(&seen)
                 .map(|(render, (photograph, kept))| {
-                    shake::estimate_by_cells(render, photograph, &response, kept.as_ref())
+                    shake::estimate_by_cells(render, photograph, response, kept.as_ref())
                 })
                 .collect();
             for (&view, kernel) in some.iter().zip(kernels) {
-                self.set_kernel(view, kernel)?;
+                self.views[view].kernel = kernel;
             }
         }
         Ok(())
     }
 
-    fn set_kernel(&mut self, view: usize, kernel: ShakeKernel) -> Result<(), GpuError> {
-        let view = &mut self.views[view];
-        let size = view.size();
-        match (&self.shake, &mut view.kernel) {
-            (Some(shake), Some(on_device)) => shake.set(on_device, size, kernel),
-            _ => Ok(()),
-        }
-    }
-
-    /// Resets all views to no shake.
-    pub(super) fn still_views(&mut self) -> Result<(), GpuError> {
-        (0..self.views.len()).try_for_each(|view| self.set_kernel(view, ShakeKernel::still()))
-    }
-
-    fn kernels(&self) -> impl Iterator<Item = &ShakeKernel> {
-        let kernels = self.views.iter().filter_map(|view| view.kernel.as_ref());
-        kernels.map(DeviceKernel::kernel)
-    }
-
     /// Mean [`ShakeKernel::spread`] over the views that may have a kernel, px; `None` without any.
     pub(in crate::reconstruct) fn mean_spread(&self) -> Option<f64> {
-        self.shake.as_ref()?;
-        let views = self.views.iter().zip(self.kernels());
-        let spreads: Vec<f64> = views
-            .filter(|(view, _)| view.given().has_kernel)
-            .map(|(_, kernel)| kernel.spread())
-            .collect();
+        self.response.as_ref()?;
+        let views = self.views.iter().filter(|view| view.given().has_kernel);
+        let spreads: Vec<f64> = views.map(|view| view.kernel.spread()).collect();
         (!spreads.is_empty()).then(|| spreads.iter().sum::<f64>() / spreads.len() as f64)
     }
 
     /// Number of views whose shake a kernel explains.
     pub(in crate::reconstruct) fn explained(&self) -> u32 {
         let views = self.views.iter().filter(|view| view.given().has_kernel);
-        self.shake.as_ref().map_or(0, |_| views.count() as u32)
+        self.response.as_ref().map_or(0, |_| views.count() as u32)
     }
 
     /// The kernels as numbers, for a checkpoint; empty without shake.
     pub(in crate::reconstruct) fn save_kernels(&self) -> Vec<f32> {
-        shake::save(self.kernels())
+        let views = self.response.iter().flat_map(|_| &self.views);
+        shake::save(views.map(|view| &view.kernel))
     }
 
     /// Restores the kernels of a checkpoint, at the resolution at which they were saved.
@@ -97,12 +76,12 @@ impl ForwardModel<'_> {
         &mut self,
         state: &[f32],
     ) -> Result<(), ReconstructError> {
-        if self.shake.is_none() {
+        if self.response.is_none() {
             return Ok(());
         }
         let kernels = shake::parse(state, self.views.len()).ok_or(ReconstructError::OtherRound)?;
-        for (view, kernel) in kernels.into_iter().enumerate() {
-            self.set_kernel(view, kernel)?;
+        for (view, kernel) in self.views.iter_mut().zip(kernels) {
+            view.kernel = kernel;
         }
         Ok(())
     }

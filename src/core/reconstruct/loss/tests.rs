@@ -88,8 +88,8 @@ fn the_masked_kernels_match_the_reference_at_odd_sizes() {
         let (prediction, target) = pictures(width, height);
         let mask = mask(width, height);
         let gpu = gpu();
-        let loss = Loss::with_run(&gpu, width, height, run).expect("buffers");
-        let loss = loss.with_masks(&gpu).expect("buffers");
+        let mut loss = Loss::with_run(&gpu, width, height, run).expect("buffers");
+        loss.make_masks(&gpu).expect("buffers");
         let packed = upload_target(&gpu, &target).expect("upload");
         let kept = upload_mask(&gpu, &mask).expect("upload");
         let input = gpu.upload("prediction", prediction.data()).expect("upload");
@@ -122,7 +122,8 @@ fn a_masked_loss_needs_room_and_a_whole_mask() {
         matches!(recorded, Err(GpuError::Validation(_)))
     };
     assert!(refused(&loss, &kept));
-    let loss = loss.with_masks(&gpu).expect("buffers");
+    let mut loss = loss;
+    loss.make_masks(&gpu).expect("buffers");
     let short = upload_mask(&gpu, &Mask::full(20, 5)).expect("upload");
     assert!(refused(&loss, &short));
 }

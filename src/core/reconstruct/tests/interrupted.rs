@@ -29,21 +29,28 @@ fn a_round_with_a_noise_field_resumes_to_the_same_bytes() {
 }
 
 fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig, stops: &[u32]) {
-    let gpu = fixtures::gpu();
-    let undisturbed = trained(views, start(views, scene, config), config);
-    for &stop in stops {
-        let begin = start(views, scene, config);
-        let checkpoint =
-            trainer::Trainer::new(gpu, views, begin, config).expect("made").frozen_at(stop);
-        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes("x"), "x").expect("a checkpoint");
-        let resumed = trained(views, TrainStart::Resume(thawed), config);
-        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
-        assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
+    for device in fixtures::devices() {
+        let undisturbed = trained_on(&device, views, start(views, scene, config), config);
+        for &stop in stops {
+            let begin = start(views, scene, config);
+            let trainer = trainer::Trainer::new(&device, views, begin, config).expect("made");
+            let frozen = trainer.frozen_at(stop).to_bytes("x");
+            let thawed = Checkpoint::from_bytes(&frozen, "x").expect("a checkpoint");
+            let resumed = trained_on(&device, views, TrainStart::Resume(thawed), config);
+            let is_same = bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians);
+            assert!(is_same, "stopped at {stop} on {device}");
+            assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop} on {device}");
+        }
     }
 }
 
 #[test]
 fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
+    stops(&gpu());
+    stops(&Device::Processor);
+}
+
+fn stops(device: &Device) {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = TrainConfig {
@@ -54,12 +61,12 @@ fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
     };
     let begin = || {
         let begin = start(&views, &scene, &config);
-        trainer::Trainer::new(fixtures::gpu(), &views, begin, &config).expect("made")
+        trainer::Trainer::new(device, &views, begin, &config).expect("made")
     };
-    let undisturbed = trained(&views, start(&views, &scene, &config), &config);
+    let undisturbed = trained_on(device, &views, start(&views, &scene, &config), &config);
     let goes_on = |checkpoint: &Checkpoint, stop: u32| {
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes("x"), "x").expect("a checkpoint");
-        let resumed = trained(&views, TrainStart::Resume(thawed), &config);
+        let resumed = trained_on(device, &views, TrainStart::Resume(thawed), &config);
         assert!(checkpoint.seconds > 0.0 && resumed.seconds > checkpoint.seconds);
         assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
@@ -80,7 +87,7 @@ fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
     // A resumed round that has not trained yet hands over no checkpoint.
     let first = begin().stopped_at(37, false).remove(0);
     let resume = TrainStart::Resume(first);
-    let again = trainer::Trainer::new(fixtures::gpu(), &views, resume, &config).expect("made");
+    let again = trainer::Trainer::new(device, &views, resume, &config).expect("made");
     let cancel = CancelToken::new();
     cancel.cancel();
     let mut kept = 0;
@@ -103,7 +110,7 @@ fn a_round_stopped_at_an_overflow_resumes_to_the_same_bytes() {
     let config = config(40, 400);
     let begin = || {
         let begin = start(&views, &scene, &config);
-        let trainer = trainer::Trainer::new(fixtures::gpu(), &views, begin, &config);
+        let trainer = trainer::Trainer::new(&gpu(), &views, begin, &config);
         trainer.expect("made").with_intersections(50)
     };
     let cancel = CancelToken::new();
@@ -119,7 +126,7 @@ fn a_round_stopped_at_an_overflow_resumes_to_the_same_bytes() {
     for stop in 1..8 {
         let kept = begin().stopped_at(stop, false).remove(0);
         went_on += kept.step - stop;
-        let resumed = trained(&views, TrainStart::Resume(kept), &config);
+        let resumed = trained_on(&gpu(), &views, TrainStart::Resume(kept), &config);
         assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
     }
     assert!(went_on > 0, "no step had to be repeated");
@@ -141,7 +148,7 @@ fn cancelling_stops_a_round_between_steps() {
         look: None,
     };
     let begin = start(&views, &scene, &config);
-    let outcome = train(fixtures::gpu(), &views, begin, &config, &mut hooks);
+    let outcome = train(&Device::Processor, &views, begin, &config, &mut hooks);
     assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))));
 }
 
@@ -160,14 +167,15 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
     };
     let begin = start(&views, &scene, &plain);
     let mut refused = |views: &[TrainingView], start| {
-        train(fixtures::gpu(), views, start, &plain, &mut hooks).expect_err("refused")
+        train(&Device::Processor, views, start, &plain, &mut hooks).expect_err("refused")
     };
     assert!(matches!(refused(&[], begin.clone()), ReconstructError::Empty { views: 0, .. }));
     let nothing = TrainStart::Fresh(Gaussians { sh_degree: 1, ..Gaussians::default() });
     assert!(matches!(refused(&views, nothing), ReconstructError::Empty { gaussians: 0, .. }));
     let other = TrainConfig { seed: 99, ..plain.clone() };
-    let foreign =
-        trainer::Trainer::new(fixtures::gpu(), &views, begin, &other).expect("made").frozen_at(25);
+    let foreign = trainer::Trainer::new(&Device::Processor, &views, begin, &other)
+        .expect("made")
+        .frozen_at(25);
     assert!(matches!(refused(&views, TrainStart::Resume(foreign)), ReconstructError::OtherRound));
 }
 
@@ -179,7 +187,7 @@ fn a_round_in_parts_equals_the_whole_round() {
     let TrainStart::Fresh(first) = start(&views, &scene, &config) else { panic!("fresh") };
     let whole = trained(&views, TrainStart::Fresh(first.clone()), &config);
     let mut stepper =
-        Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
+        Stepper::new(&Device::Processor, &views, first.clone(), &config, 0).expect("made");
     let cancel = CancelToken::new();
     for part in [1, 24, 30, 2] {
         stepper.advance(part, &cancel).expect("trains");

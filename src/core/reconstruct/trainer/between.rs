@@ -8,9 +8,8 @@ use super::Trainer;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::metrics::report::NoiseMapStatistics;
 use crate::reconstruct::forward_model::poses::Correction;
-use crate::reconstruct::level::Level;
+use crate::reconstruct::observed::Observed;
 use crate::reconstruct::{Checkpoint, ReconstructError, TrainHooks};
-use crate::shake::Shake;
 
 /// Steps between synchronisations with the device, in a round of fewer than [`LONG`] steps and in a
 /// longer one, which densifies as often. All that depends on finished steps (densification,
@@ -45,7 +44,7 @@ impl Trainer<'_> {
             || self.densifies(step)
             || self.estimates_shake(step)
             || self.refines_poses(step)
-            || divisor != self.level.divisor
+            || divisor != self.divisor
     }
 
     /// Runs [`Self::prepare`]. If it is cancelled during a long operation, hands over the state
@@ -70,13 +69,13 @@ impl Trainer<'_> {
     /// Runs the work between steps, in the order of its dependencies.
     fn prepare(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let divisor = self.schedule.divisor(step);
-        if divisor != self.level.divisor {
+        if divisor != self.divisor {
             self.set_level(divisor)?;
         }
         let degree = self.schedule.degree(step);
         if self.estimates_shake(step) {
             let begun = Instant::now();
-            self.model.estimate_shake(degree, cancel)?;
+            self.model.estimate_shake(&mut *self.scene, degree, cancel)?;
             self.seconds_between.kernels += begun.elapsed().as_secs_f64();
         }
         if self.refines_poses(step)
@@ -85,7 +84,7 @@ impl Trainer<'_> {
             let begun = Instant::now();
             let how =
                 Correction { depth, degree, is_coarse: !self.schedule.refines_poses_last(step) };
-            self.model.refine_poses(how, cancel)?;
+            self.model.refine_poses(&mut *self.scene, how, cancel)?;
             self.seconds_between.cameras += begun.elapsed().as_secs_f64();
         }
         if self.densifies(step) {
@@ -98,9 +97,10 @@ impl Trainer<'_> {
 
     /// Changes the resolution.
     pub(super) fn set_level(&mut self, divisor: usize) -> Result<(), GpuError> {
-        self.model.reduce(divisor)?;
-        self.level = Level::new(self.gpu, &self.model.views, divisor)?;
-        Ok(())
+        self.divisor = divisor;
+        self.model.reduce(divisor);
+        let sizes: Vec<_> = self.model.views.iter().map(Observed::size).collect();
+        self.scene.set_sizes(&sizes)
     }
 
     fn estimates_shake(&self, step: u32) -> bool {
@@ -112,8 +112,8 @@ impl Trainer<'_> {
     }
 
     pub(super) fn check_finite(&self) -> Result<(), ReconstructError> {
-        let dropped = u64::from(self.optimizer.counters.read()?[0]);
-        let updates = f64::from(self.config.steps) * self.model.pass.gaussians.count as f64;
+        let dropped = u64::from(self.scene.non_finite()?);
+        let updates = f64::from(self.config.steps) * self.scene.count() as f64;
         if dropped as f64 > NON_FINITE_LIMIT * updates {
             return Err(ReconstructError::NotFinite { dropped, step: self.next });
         }
@@ -122,12 +122,9 @@ impl Trainer<'_> {
 
     /// Inspects the noise map of the last step; warns once if it models the scene.
     pub(super) fn inspect_noise(&mut self) -> Result<(), GpuError> {
-        let Some(noise) = &self.noise else {
+        let Some(seen) = self.scene.inspect_noise()? else {
             return Ok(());
         };
-        let render = &self.model.pass.buffers().image;
-        let clean = self.model.shake.as_ref().map_or(render, Shake::blurred);
-        let seen = noise.inspect(clean, &self.prediction)?;
         if seen.follows_scene && self.warnings.is_empty() {
             let correlation = seen.correlation;
             self.warnings.push(format!(

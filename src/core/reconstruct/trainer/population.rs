@@ -1,12 +1,12 @@
 //! Densification between steps.
 
-use fled_gpu::{GpuError, Rows};
+use fled_gpu::GpuError;
 
 use super::Trainer;
-use crate::reconstruct::Densify;
 use crate::reconstruct::densify::{self, classic};
 use crate::reconstruct::optimizer::GeometryMoments;
 use crate::reconstruct::schedule::Stream;
+use crate::reconstruct::{Densify, ReconstructError};
 use crate::splat::rows::GeometryRow;
 
 /// Share of its steps before which a warm round does not grow.
@@ -21,15 +21,15 @@ impl Trainer<'_> {
         self.config.densify == Densify::Classic && self.schedule.resets_opacities(step)
     }
 
-    pub(super) fn densify(&mut self, step: u32) -> Result<(), GpuError> {
-        let rows = self.model.pass.gaussians.read_geometry()?;
+    pub(super) fn densify(&mut self, step: u32) -> Result<(), ReconstructError> {
         match self.config.densify {
-            Densify::Mcmc => self.relocate(&rows, step),
-            Densify::Classic => self.clone_and_split(&rows, step),
+            Densify::Mcmc => Ok(self.relocate(step)?),
+            Densify::Classic => self.clone_and_split(step),
         }
     }
 
-    fn relocate(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
+    fn relocate(&mut self, step: u32) -> Result<(), GpuError> {
+        let rows = self.scene.geometry()?;
         let count = rows.len();
         let target = if self.config.warm && self.schedule.share(step) < WARM_GROWTH {
             count
@@ -38,34 +38,23 @@ impl Trainer<'_> {
             densify::grown(count, self.start_count, self.config.cap, densifications)
         };
         let random = &mut self.schedule.generator(Stream::Densification, u64::from(step));
-        let plan = densify::plan(rows, target, random);
-        let gaussians = &mut self.model.pass.gaussians;
-        self.optimizer.relocate(self.gpu, gaussians, &plan)?;
-        gaussians.count = plan.count;
-        Ok(())
+        self.scene.relocate(&densify::plan(&rows, target, random))
     }
 
     /// Runs on the host: it serves comparison, and reorders everything.
-    fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
-        let moments = self.optimizer.read_geometry_moments(rows.len())?;
-        let mut after = self.descendants(rows, &moments, step);
+    fn clone_and_split(&mut self, step: u32) -> Result<(), ReconstructError> {
+        let before = self.scene.save()?;
+        let (rows, moments) = (before.rows(), before.moments());
+        let mut after = self.descendants(&rows, &moments, step);
         let resets = self.resets_opacities(step);
         if resets {
             for one in &mut after {
                 one.row.opacity_logit = classic::reset(one.row.opacity_logit);
             }
         }
-        let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
         let moments: Vec<_> =
             after.iter().map(|one| moments_after(one, &moments, resets)).collect();
-        let gaussians = &mut self.model.pass.gaussians;
-        gaussians.geometry.write(bytemuck::cast_slice(&geometry))?;
-        let geometry_moments = &self.optimizer.geometry_moments;
-        geometry_moments.write(bytemuck::cast_slice(&moments))?;
-        hand_down(&gaussians.sh, rows.len(), &after, |_| true)?;
-        hand_down(&self.optimizer.sh_moments, rows.len(), &after, |one| !one.new)?;
-        gaussians.count = after.len();
-        Ok(())
+        self.restore_scene(&before.after(&after, &moments))
     }
 
     /// The Gaussians after the densification before `step`.
@@ -120,24 +109,4 @@ fn moments_after(
         }
     }
     kept
-}
-
-/// Copies to each descendant the row of its source among the first `count`, or zeros if it does not
-/// inherit.
-fn hand_down(
-    rows: &Rows<f32>,
-    count: usize,
-    after: &[classic::Descendant],
-    inherits: impl Fn(&classic::Descendant) -> bool,
-) -> Result<(), GpuError> {
-    let (before, length) = (rows.read(count)?, rows.length());
-    let mut numbers = Vec::with_capacity(after.len() * length);
-    for one in after {
-        if inherits(one) {
-            numbers.extend_from_slice(&before[one.source * length..(one.source + 1) * length]);
-        } else {
-            numbers.extend(std::iter::repeat_n(0.0, length));
-        }
-    }
-    rows.write(&numbers)
 }

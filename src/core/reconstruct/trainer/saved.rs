@@ -1,29 +1,21 @@
 //! Saves the state of a round to a checkpoint, and restores it.
 
 use super::Trainer;
-use crate::noise::NoiseField;
+use crate::noise::StateError;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::observed::Observed;
+use crate::reconstruct::training::TrainingState;
 
 impl Trainer<'_> {
     /// The state before step `next`, with nothing in flight.
     pub(super) fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
-        let gaussians = &self.model.pass.gaussians;
-        let count = gaussians.count;
         Ok(Checkpoint {
             fingerprint: self.fingerprint(),
             step: self.next,
             start_count: self.start_count as u32,
-            sh_degree: gaussians.sh_degree,
-            intersections: self.model.pass.buffers().sizes().intersections as u32,
-            non_finite: self.optimizer.counters.read()?[0],
             seconds: self.seconds(),
-            geometry: gaussians.geometry.read(count)?,
-            geometry_moments: self.optimizer.geometry_moments.read(count)?,
-            sh: gaussians.sh.read(count)?,
-            sh_moments: self.optimizer.sh_moments.read(count)?,
-            noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
+            state: self.scene.save()?,
             shake: self.model.save_kernels(),
             motions: self.model.save_motions(),
         })
@@ -33,14 +25,7 @@ impl Trainer<'_> {
         if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
             return Err(ReconstructError::OtherRound);
         }
-        self.optimizer.geometry_moments.write(&checkpoint.geometry_moments)?;
-        self.optimizer.sh_moments.write(&checkpoint.sh_moments)?;
-        self.optimizer.counters.write(&[checkpoint.non_finite])?;
-        if let Some(noise) = &mut self.noise {
-            noise
-                .restore(&checkpoint.noise)
-                .map_err(|error| ReconstructError::Noise(error.to_string()))?;
-        }
+        self.restore_scene(&checkpoint.state)?;
         self.start_count = checkpoint.start_count as usize;
         self.seconds_before = checkpoint.seconds;
         self.next = checkpoint.step;
@@ -49,9 +34,14 @@ impl Trainer<'_> {
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
         self.set_level(divisor)?;
         self.model.restore_kernels(&checkpoint.shake)?;
-        self.model.restore_motions(&checkpoint.motions)?;
-        self.model.pass.set_room(checkpoint.intersections as usize)?;
-        Ok(())
+        self.model.restore_motions(&checkpoint.motions)
+    }
+
+    pub(super) fn restore_scene(&mut self, state: &TrainingState) -> Result<(), ReconstructError> {
+        self.scene.restore(state).map_err(|error| match error {
+            StateError::Gpu(error) => error.into(),
+            StateError::Format(_) => ReconstructError::Noise(error.to_string()),
+        })
     }
 
     /// Hash of config and views.

@@ -1,9 +1,10 @@
 //! A round in parts of a few steps, for benchmarks.
 
-use fled_gpu::{Gpu, GpuError};
+use fled_gpu::GpuError;
 
 use super::Trainer;
 use crate::cancel::CancelToken;
+use crate::device::Device;
 use crate::gaussians::Gaussians;
 use crate::reconstruct::{ReconstructError, TrainConfig, TrainHooks, TrainStart, TrainingView};
 use crate::splat::rasterize::SplatCounts;
@@ -19,13 +20,13 @@ impl<'a> Stepper<'a> {
     /// # Errors
     /// As [`train`](crate::reconstruct::train).
     pub fn new(
-        gpu: &'a Gpu,
+        device: &Device,
         views: &'a [TrainingView],
         gaussians: Gaussians,
         config: &'a TrainConfig,
         first: u32,
     ) -> Result<Self, ReconstructError> {
-        let mut trainer = Trainer::new(gpu, views, TrainStart::Fresh(gaussians), config)?;
+        let mut trainer = Trainer::new(device, views, TrainStart::Fresh(gaussians), config)?;
         trainer.next = first.min(config.steps);
         Ok(Self(trainer))
     }
@@ -48,7 +49,7 @@ impl<'a> Stepper<'a> {
 
     #[cfg(test)]
     pub(in crate::reconstruct) fn gaussians(&self) -> Gaussians {
-        self.0.model.pass.gaussians.download().expect("read")
+        self.0.scene.save().expect("read").gaussians()
     }
 
     /// The intersections of the last step; reads them back from the device.
@@ -56,6 +57,6 @@ impl<'a> Stepper<'a> {
     /// # Errors
     /// A device error.
     pub fn counts(&self) -> Result<SplatCounts, GpuError> {
-        self.0.model.pass.buffers().counts()?.wait()
+        self.0.scene.counts()
     }
 }

@@ -261,7 +261,7 @@ fn the_first_update_moves_every_number_by_its_rate() {
     let case = Case::new(fixtures::gaussians(61, 1, 9), 144, 96);
     let (run, view) = (case.run(), case.view());
     let gradients = gradients(&case, &run);
-    let mut population = population(&case.gaussians);
+    let mut population = population(&case.gaussians).in_training();
     let step = Step {
         rates: [1e-3, 2e-3, 3e-3, 4e-3],
         rate_sh0: 5e-3,
@@ -306,7 +306,7 @@ fn a_densification_copies_splits_and_clears() {
     let gaussians = fixtures::gaussians(20, 2, 9);
     let case = Case::new(gaussians.clone(), 144, 96);
     let (run, view) = (case.run(), case.view());
-    let mut population = population(&gaussians);
+    let mut population = population(&gaussians).in_training();
     let blended = Blended { view: &view, bins: &run.bins, sums: &run.sums };
     let step = Step { bias: [1.0; 2], accumulates: true, ..Step::default() };
     blended.update(&mut population, &step);
@@ -334,7 +334,7 @@ fn a_densification_copies_splits_and_clears() {
 /// A scene after one step from moments of zero.
 fn updated(case: &Case, step: &Step) -> Gaussians {
     let (run, view) = (case.run(), case.view());
-    let mut population = population(&case.gaussians);
+    let mut population = population(&case.gaussians).in_training();
     Blended { view: &view, bins: &run.bins, sums: &run.sums }.update(&mut population, step);
     scene(&population)
 }
@@ -412,7 +412,7 @@ fn a_gradient_that_is_not_finite_is_dropped_and_counted() {
     let mut case = Case::new(fixtures::gaussians(50, 1, 9), 96, 64);
     case.upstream[64 * 48 + 30] = f32::NAN;
     let (run, view) = (case.run(), case.view());
-    let mut population = population(&case.gaussians);
+    let mut population = population(&case.gaussians).in_training();
     let step = Step { rates: [1e-3; 4], bias: [10.0, 1000.0], ..Step::default() };
     let blended = Blended { view: &view, bins: &run.bins, sums: &run.sums };
     let dropped = blended.update(&mut population, &step);

@@ -46,6 +46,31 @@ fn gradient_and_means_match_the_reference_at_odd_sizes() {
 }
 
 #[test]
+fn the_masked_loss_matches_the_reference_at_odd_sizes() {
+    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
+        let (prediction, target) = pictures(width, height);
+        let (mask, values) = (mask(width, height), target_values(&target));
+        let mut gradient = vec![7.0; prediction.data().len()];
+        let targets = (&values[..], mask.pixels());
+        let found = Loss::default().run_masked(
+            prediction.data(),
+            targets,
+            [width, height],
+            SHARES,
+            &mut gradient,
+        );
+        let (p, t) = as_f64(&prediction, &target);
+        let expected = reference::masked_loss(&p, &t, mask.pixels(), width);
+        let what = format!("gradient at {width}x{height}");
+        assert_agrees(&what, &gradient, &expected.gradient, 1e-3);
+        let total = L1_SHARE * found.absolute + SSIM_SHARE * (1.0 - found.similarity);
+        assert!((total - expected.total()).abs() < 1e-5, "{total} {}", expected.total());
+        let outside = gradient.iter().zip(mask.pixels().iter().cycle()).filter(|(_, kept)| !**kept);
+        assert!(outside.count() > 0, "nothing is masked");
+    }
+}
+
+#[test]
 fn the_comparison_detects_other_weights() {
     let (prediction, target) = pictures(33, 21);
     let (gradient, _) = on_processor(&prediction, &target);

@@ -6,12 +6,10 @@ use fled_gpu::GpuError;
 
 use crate::splat::rasterize::{PendingCounts, SplatCounts};
 
-/// Steps whose count of intersections is pending, and those that must be repeated.
+/// Steps whose count of intersections is pending.
 #[derive(Default)]
 pub(super) struct Flight {
     pending: VecDeque<(u32, Count)>,
-    /// Steps to repeat, the next one first.
-    pub(super) redo: VecDeque<u32>,
 }
 
 /// The number of intersections of a step.
@@ -22,8 +20,8 @@ enum Count {
 
 impl Flight {
     #[cfg(test)]
-    pub(super) fn is_empty(&self) -> bool {
-        self.pending.is_empty()
+    pub(super) fn len(&self) -> usize {
+        self.pending.len()
     }
 
     /// Records a submitted step.
@@ -41,11 +39,9 @@ impl Flight {
         landed.transpose()
     }
 
-    /// Waits for all steps and returns whether none of them must be repeated. Keeps them in flight:
-    /// the step after an overflowed one precedes its repetition, so an earlier repetition would
-    /// train another scene.
+    /// Waits for all steps, keeps them in flight, and returns whether none must be repeated.
     pub(super) fn is_done(&mut self) -> Result<bool, GpuError> {
-        let mut done = self.redo.is_empty();
+        let mut done = true;
         for (step, count) in std::mem::take(&mut self.pending) {
             let counts = count.wait()?;
             done &= !counts.overflowed();

@@ -1,0 +1,132 @@
+//! The device that renders and trains: a GPU, or the processor.
+
+mod gpu;
+mod processor;
+mod scene;
+
+use std::fmt;
+
+use fled_gpu::{Gpu, GpuError};
+
+use crate::gaussians::Gaussians;
+use crate::splat::rows::DeviceGaussians;
+pub use gpu::GpuScene;
+pub use processor::ProcessorScene;
+pub use scene::{Scene, Shaken};
+
+/// The value of `adapter` that requests the processor.
+pub const PROCESSOR: &str = "cpu";
+
+/// A device. Clones are cheap and share it.
+#[derive(Clone)]
+pub enum Device {
+    /// A Vulkan adapter.
+    Gpu(Gpu),
+    /// All cores of this machine, through `fled-cpu`.
+    Processor,
+}
+
+impl Device {
+    /// Opens the device that `adapter` requests: for `"auto"` a GPU if there is one, else the
+    /// processor; for `"cpu"` the processor; else the first Vulkan adapter whose name contains the
+    /// text, ignoring case.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] if no adapter fits, a GPU cannot be opened, or the processor lacks
+    /// AVX2.
+    pub fn new(adapter: &str) -> Result<Self, GpuError> {
+        match adapter {
+            "auto" => match Gpu::hardware()? {
+                Some(gpu) => Ok(Self::Gpu(gpu)),
+                None if fled_cpu::is_supported() => Ok(Self::Processor),
+                // Software Vulkan also runs on older processors.
+                None => Gpu::new("auto").map(Self::Gpu),
+            },
+            PROCESSOR if fled_cpu::is_supported() => Ok(Self::Processor),
+            PROCESSOR => Err(GpuError::NoAdapter {
+                reason: "the processor lacks AVX2".to_owned(),
+                found: Vec::new(),
+            }),
+            name => Gpu::new(name).map(Self::Gpu),
+        }
+    }
+
+    /// Whether it is known to be a GPU.
+    pub fn is_gpu(&self) -> bool {
+        matches!(self, Self::Gpu(gpu) if gpu.describe().device_type.is_gpu())
+    }
+
+    /// Identifies devices with the same results, bit for bit: an adapter with its driver, or any
+    /// processor.
+    pub fn identity(&self) -> String {
+        match self {
+            Self::Gpu(gpu) => gpu.describe().to_string(),
+            Self::Processor => "the processor".to_owned(),
+        }
+    }
+
+    /// Peak bytes in buffers on a GPU; `None` on the processor.
+    pub fn peak_bytes(&self) -> Option<u64> {
+        match self {
+            Self::Gpu(gpu) => Some(gpu.memory().peak),
+            Self::Processor => None,
+        }
+    }
+
+    /// A scene for renders. Its buffers grow with the images.
+    ///
+    /// # Errors
+    /// Out of memory, or more Gaussians than the adapter can bind.
+    pub fn scene(&self, gaussians: &Gaussians) -> Result<Box<dyn Scene>, GpuError> {
+        Ok(match self {
+            Self::Gpu(gpu) => {
+                let uploaded = DeviceGaussians::upload(gpu, gaussians, gaussians.len())?;
+                Box::new(GpuScene::new(gpu, uploaded, [1, 1], false)?)
+            }
+            Self::Processor => Box::new(ProcessorScene::new(gaussians)),
+        })
+    }
+}
+
+impl fmt::Display for Device {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Gpu(gpu) => gpu.describe().fmt(f),
+            Self::Processor => {
+                let threads = rayon::current_num_threads();
+                let vectors = fled_cpu::vectors();
+                write!(f, "{} (processor, {vectors}, {threads} threads)", processor_name())
+            }
+        }
+    }
+}
+
+/// The processor's model, as its maker calls it.
+fn processor_name() -> String {
+    let facts = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = facts.lines().find(|line| line.starts_with("model name"));
+    let name = model.and_then(|line| line.split_once(':')).map(|(_, name)| name.trim());
+    name.unwrap_or("unknown processor").to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_processor_is_opened_by_name_and_an_unknown_adapter_is_refused() {
+        let device = Device::new("cpu").expect("tests need AVX2");
+        assert!(matches!(device, Device::Processor) && !device.is_gpu());
+        let shown = device.to_string();
+        assert!(shown.contains("processor, AVX") && shown.contains("threads"), "{shown}");
+        assert_eq!(device.identity(), "the processor");
+        let refused = Device::new("no such adapter");
+        assert!(matches!(refused, Err(GpuError::NoAdapter { .. })));
+    }
+
+    #[test]
+    fn auto_takes_a_gpu_or_the_processor_but_no_software_driver() {
+        let device = Device::new("auto").expect("opened");
+        assert!(device.is_gpu() || matches!(device, Device::Processor), "{device}");
+    }
+}
