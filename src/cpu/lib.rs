@@ -9,6 +9,7 @@
 pub mod bins;
 pub mod blend;
 pub mod loss;
+pub mod noise;
 pub mod population;
 pub mod project;
 pub mod shake;
