@@ -20,12 +20,13 @@ pub(super) fn step(numbers: &mut [f32], gradient: &[f32], step: u64) {
     let (first, second) = moments.split_at_mut(PARAMETERS);
     let moments = first.chunks_mut(LANES).zip(second.chunks_mut(LANES));
     let all = parameters.chunks_mut(LANES).zip(moments).zip(gradient.chunks(LANES));
-    let [beta_1, beta_2] = BETAS.map(|beta| beta as f32);
+    let [old_1, old_2] = BETAS.map(|beta| beta as f32);
+    let [new_1, new_2] = BETAS.map(|beta| (1.0 - beta) as f32);
     vectorised!(simd => for ((parameter, (first, second)), gradient) in all {
         let g = load_some(simd, gradient);
         let g = is_finite(g).select(g, splat(simd, 0.0));
-        let m = load_some(simd, first).mul_add(beta_1, g * (1.0 - beta_1));
-        let v = load_some(simd, second).mul_add(beta_2, g * g * (1.0 - beta_2));
+        let m = load_some(simd, first).mul_add(old_1, g * new_1);
+        let v = load_some(simd, second).mul_add(old_2, g * g * new_2);
         let taken = m / corrections[0] * rate / ((v / corrections[1]).sqrt() + EPSILON);
         store_some(load_some(simd, parameter) - taken, parameter);
         store_some(m, first);

@@ -3,7 +3,7 @@
 use fearless_simd::prelude::*;
 
 use super::AMPLITUDE;
-use super::encoding::{DIRECTION, direction, number};
+use super::encoding::{DIRECTION, direction};
 use super::gradient::Gradient;
 use super::network::{MIDDLE, Network};
 use super::product::{Gate, Matrix, PANELS, Product, ZERO, add_by_weights, add_row};
@@ -88,10 +88,10 @@ impl Block {
     ) {
         vectorised!(simd => {
             self.forward(simd, (network, view), place);
-            for channel in 0..3 {
-                let by = place.of(by_prediction[channel]).chunks(LANES);
-                let by = by.chain(std::iter::repeat(&[][..]));
-                for (colour, by) in self.colour[channel].iter_mut().zip(by) {
+            for (colour, by) in self.colour.iter_mut().zip(by_prediction) {
+                // Pixels beyond the row have no derivative.
+                let by = place.of(by).chunks(LANES).chain(std::iter::repeat(&[][..]));
+                for (colour, by) in colour.iter_mut().zip(by) {
                     let share = sigmoid(load(simd, colour));
                     let slope = share * (splat(simd, 1.0) - share) * AMPLITUDE;
                     (load_some(simd, by) * slope).store_slice(colour);
@@ -133,14 +133,13 @@ impl Block {
             for (panel, hidden) in hidden.iter().enumerate() {
                 for (vector, hidden) in hidden[pixel].iter().enumerate() {
                     let hidden = load(simd, hidden);
-                    for channel in 0..3 {
-                        let weights = load(simd, &network.colour[channel][panel][vector]);
-                        sums[channel] = hidden.mul_add(weights, sums[channel]);
+                    for (sum, weights) in sums.iter_mut().zip(&network.colour) {
+                        *sum = hidden.mul_add(load(simd, &weights[panel][vector]), *sum);
                     }
                 }
             }
-            for channel in 0..3 {
-                self.colour[channel].as_flattened_mut()[pixel] = sum(sums[channel]);
+            for (colour, sums) in self.colour.iter_mut().zip(sums) {
+                colour.as_flattened_mut()[pixel] = sum(sums);
             }
         }
         for (group, directions) in self.directions.iter_mut().enumerate() {
@@ -149,7 +148,7 @@ impl Block {
                 let colour = &mut self.colour[channel][group];
                 let mut value = load(simd, colour) + network.colour_bias[channel];
                 for (n, weights) in network.direction.iter().enumerate() {
-                    value = number(simd, directions, n).mul_add(weights[channel], value);
+                    value = load(simd, &directions[n]).mul_add(weights[channel], value);
                 }
                 value.store_slice(colour);
             }
@@ -198,7 +197,7 @@ impl Block {
                 add(simd, &mut gradient.colour_bias[channel], by);
                 for (n, sums) in gradient.direction.iter_mut().enumerate() {
                     let lanes = &mut sums[channel];
-                    let sum = number(simd, directions, n).mul_add(by, load(simd, lanes));
+                    let sum = load(simd, &directions[n]).mul_add(by, load(simd, lanes));
                     sum.store_slice(lanes);
                 }
             }
@@ -223,8 +222,8 @@ impl Block {
                     let by = value.simd_gt(0.0).select(by, splat(simd, 0.0));
                     by.store_slice(&mut delta[pixel][vector]);
                 }
-                for channel in 0..3 {
-                    sums[channel].store_slice(&mut gradient.colour[channel][panel][vector]);
+                for (out, sum) in gradient.colour.iter_mut().zip(sums) {
+                    sum.store_slice(&mut out[panel][vector]);
                 }
             }
         }

@@ -4,7 +4,7 @@ use fearless_simd::prelude::*;
 use fearless_simd::{i32x16, u32x16};
 
 use crate::View;
-use crate::simd::{F, LANES, Lanes, each, load, ramp, splat};
+use crate::simd::{F, LANES, Lanes, ROUND, each, ramp, splat};
 use crate::vector::{V3, length, scaled};
 
 const OCTAVES: usize = 10;
@@ -18,8 +18,6 @@ pub(super) const DIRECTION: usize = 3 + 6 * DIRECTION_OCTAVES;
 /// The third coordinate of every position.
 const DEPTH: f32 = 32.0 / 63.0 - 1.0;
 
-/// 1.5 * 2^23: a sum with it is rounded to a whole number, which stands in its lowest bits.
-const ROUND: f32 = 12_582_912.0;
 /// What f32 leaves out of a quarter turn.
 const QUARTER_REST: f32 = -4.371_139e-8;
 
@@ -44,11 +42,9 @@ pub(super) fn sin_cos<S: Simd>(x: F<S>) -> [F<S>; 2] {
     let quarter = shifted.bitcast::<i32x16<S>>();
     let odd = (quarter & 1).simd_eq(1);
     // The sine is negative in the quarters 2 and 3, the cosine in 1 and 2.
-    let [first, second] = each!([(odd.select(cosine, sine), quarter), (odd.select(sine, cosine), quarter + 1)] v => {
-        let sign = (v.1.bitcast::<u32x16<S>>() & 2) << 30;
-        (v.0.bitcast::<u32x16<S>>() ^ sign).bitcast::<F<S>>()
-    });
-    [first, second]
+    let values = [odd.select(cosine, sine), odd.select(sine, cosine)];
+    let signs = each!([quarter, quarter + 1] n => (n.bitcast::<u32x16<S>>() & 2) << 30);
+    each!([0, 1] n => (values[n].bitcast::<u32x16<S>>() ^ signs[n]).bitcast())
 }
 
 /// The numbers of the coordinates in -1..=1 of `count` pixels along one side of an image.
@@ -112,16 +108,10 @@ pub(super) fn direction<S: Simd>(
     }
 }
 
-/// A direction's number of sixteen pixels.
-#[inline(always)]
-pub(super) fn number<S: Simd>(simd: S, direction: &[Lanes; DIRECTION], n: usize) -> F<S> {
-    load(simd, &direction[n])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simd::vectorised;
+    use crate::simd::{load, vectorised};
 
     #[test]
     fn sines_and_cosines_have_their_stated_errors() {

@@ -17,7 +17,7 @@ use super::product::{PANELS, Row, WIDTH, Weights, ZERO, numbers};
 use crate::View;
 use crate::simd::{LANES, Lanes, load, sum, vectorised};
 
-/// Strips of an image, about: each has 200 KiB of sums.
+/// Strips of an image, about: each has 300 KiB of sums.
 const STRIPS: usize = 64;
 /// Parameters of a task that adds up.
 const ADDED: usize = 4096;
@@ -57,7 +57,7 @@ struct Part {
 }
 
 fn strips([width, height]: [usize; 2]) -> Vec<Strip> {
-    let blocks = width.div_ceil(PIXELS);
+    let blocks = width.div_ceil(PIXELS).max(1);
     let high = height.div_ceil((STRIPS / blocks).max(1)).max(1);
     let bands = (0..height).step_by(high).map(|top| top..(top + high).min(height));
     let strip = |rows: Range<usize>| {

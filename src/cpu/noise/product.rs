@@ -1,9 +1,9 @@
 //! Products of matrices of 128 columns.
 //!
-//! Vectors run along the columns, which are the outputs of a layer: then forward pass, derivative
-//! by the input and derivative by the weights are products of rows in memory by broadcast numbers,
-//! and no matrix of pixels is ever transposed. Matrices lie in panels of 32 columns, so that a panel
-//! stays in the first cache while tiles of rows pass by.
+//! Vectors run along the columns, which are the outputs of a layer. The forward pass and the
+//! derivatives by inputs and by weights are then products of rows and broadcast numbers, and no
+//! matrix of pixels is transposed. Matrices lie in panels of 32 columns; a panel stays in the first
+//! cache while tiles of rows pass by.
 
 use fearless_simd::prelude::*;
 
@@ -30,7 +30,7 @@ pub(super) type Weights = Matrix<WIDTH>;
 /// A row of zeros.
 pub(super) const ZERO: Row = [[[0.0; LANES]; VECTORS]; PANELS];
 
-/// The number of a row or a cell.
+/// The numbers of a row.
 #[inline(always)]
 pub(super) fn numbers(row: &Row) -> &[f32] {
     row.as_flattened().as_flattened()
@@ -90,17 +90,17 @@ impl<const ROWS: usize> Product<'_, ROWS> {
                 let tiles = out.as_chunks_mut::<M>().0.iter_mut().enumerate();
                 for (tile, out) in tiles.take(count.div_ceil(M)) {
                     let sums = self.tile::<S, M, N>(simd, panel, first, tile);
-                    for m in 0..M {
-                        for n in 0..N {
+                    for (m, (sums, out)) in sums.into_iter().zip(out).enumerate() {
+                        for (n, sum) in sums.into_iter().enumerate() {
                             let vector = first + n;
                             let value = match self.gate {
-                                Gate::Relu => sums[m][n].max(0.0),
+                                Gate::Relu => sum.max(0.0),
                                 Gate::By(by) => {
                                     let by = load(simd, &by[panel][tile * M + m][vector]);
-                                    by.simd_gt(0.0).select(sums[m][n], splat(simd, 0.0))
+                                    by.simd_gt(0.0).select(sum, splat(simd, 0.0))
                                 }
                             };
-                            value.store_slice(&mut out[m][vector]);
+                            value.store_slice(&mut out[vector]);
                         }
                     }
                 }
@@ -116,12 +116,11 @@ impl<const ROWS: usize> Product<'_, ROWS> {
         first: usize,
         tile: usize,
     ) -> [[F<S>; N]; M] {
-        let mut sums = [[splat(simd, 0.0); N]; M];
-        for m in 0..M {
-            for n in 0..N {
-                sums[m][n] = load(simd, &self.start[panel][first + n]);
-            }
+        let mut start = [splat(simd, 0.0); N];
+        for (start, lanes) in start.iter_mut().zip(&self.start[panel][first..]) {
+            *start = load(simd, lanes);
         }
+        let mut sums = [start; M];
         let weights = self.weights[panel].as_chunks::<COLUMNS>().0;
         for (rows, weights) in self.rows.iter().zip(weights) {
             let rows = &rows.as_chunks::<M>().0[tile];
