@@ -38,6 +38,7 @@ mod buffers;
 mod inspection;
 mod kernels;
 mod network;
+pub mod processor;
 pub mod reference;
 mod state;
 

@@ -1,5 +1,5 @@
-//! Splatting and its training on processors: projection, blending, loss, shake and optimiser in
-//! f32, each with its backward pass.
+//! Splatting and its training on processors: projection, blending, loss, shake, the noise
+//! field and optimisers in f32, each with its backward pass.
 //!
 //! The meaning is the f64 reference of the core, as for the kernels in WGSL. The same input gives
 //! the same bits on every x86-64 processor with AVX2, with any number of threads: each sum has a
@@ -9,6 +9,7 @@
 pub mod bins;
 pub mod blend;
 pub mod loss;
+pub mod noise;
 pub mod population;
 pub mod project;
 pub mod roofline;

@@ -132,7 +132,7 @@ pub(crate) fn ramp<S: Simd>(simd: S) -> F<S> {
 }
 
 /// 1.5 * 2^23: a sum with it is rounded to a whole number, which stands in its lowest bits.
-const ROUND: f32 = 12_582_912.0;
+pub(crate) const ROUND: f32 = 12_582_912.0;
 
 /// The polynomial of 2^x between -1/2 and 1/2 below its highest coefficient. The linear one is not
 /// quite the logarithm of 2.

@@ -6,17 +6,26 @@ use crate::View;
 use crate::bins::Bins;
 use crate::blend::{Canvas, SlotSums};
 use crate::loss::{Loss, Shares};
+use crate::noise::{NoiseField, PARAMETERS};
 use crate::population::{Population, column};
 use crate::project::Projection;
 use crate::shake::{KNOTS, Kernel, Response, Shake, Tap};
 use crate::simd::NARROW;
 use crate::update::{Blended, Step};
 
-fn population() -> Population {
+/// Numbers in -1..1.
+fn random() -> impl FnMut() -> f32 {
     let mut state = 9_u32;
-    Population::from_fn(2, 700, |_, at| {
+    move || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        let value = (state >> 8) as f32 / (1 << 23) as f32 - 1.0;
+        (state >> 8) as f32 / (1 << 23) as f32 - 1.0
+    }
+}
+
+fn population() -> Population {
+    let mut random = random();
+    Population::from_fn(2, 700, |_, at| {
+        let value = random();
         match at {
             column::LOG_SCALE..column::QUAT => value - 3.0,
             _ => value,
@@ -24,10 +33,9 @@ fn population() -> Population {
     })
 }
 
-/// Numbers of all kernels after three steps.
-fn steps() -> Vec<u32> {
+fn view() -> View {
     let rows = [[1.0, 0.0, 0.0, 0.1], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 3.0]];
-    let view = View {
+    View {
         rows,
         focal: [90.0; 2],
         centre: [50.0, 31.0],
@@ -36,7 +44,12 @@ fn steps() -> Vec<u32> {
         sh_degree: 2,
         background: [0.1; 3],
         near: 0.1,
-    };
+    }
+}
+
+/// Numbers of all kernels after three steps.
+fn steps() -> Vec<u32> {
+    let view = view();
     let mut population = population().in_training();
     let (mut projection, mut bins) = (Projection::default(), Bins::default());
     let (mut canvas, mut sums) = (Canvas::default(), SlotSums::default());
@@ -75,22 +88,46 @@ fn steps() -> Vec<u32> {
     all.into_iter().flatten().chain(values).map(|value| value.to_bits()).collect()
 }
 
-fn with_threads(threads: usize) -> Vec<u32> {
+/// Numbers of the noise field after two steps.
+fn field_steps() -> Vec<u32> {
+    let view = View { size: [150, 11], ..view() };
+    let mut random = random();
+    let parameters = (0..PARAMETERS).map(|_| 0.09 * random()).collect();
+    let mut field = NoiseField::new(0, parameters).expect("as many as it has");
+    let render: Vec<f32> = (0..3 * 150 * 11).map(|_| random()).collect();
+    let mut prediction = Vec::new();
+    for _ in 0..2 {
+        field.forward(&view, &render, &mut prediction);
+        field.backward(&view, &render);
+    }
+    prediction.iter().chain(field.numbers()).map(|value| value.to_bits()).collect()
+}
+
+fn with_threads(threads: usize, steps: fn() -> Vec<u32>) -> Vec<u32> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     pool.install(steps)
 }
 
-#[test]
-fn threads_and_widths_of_vectors_do_not_change_a_bit() {
-    let one = with_threads(1);
-    assert_eq!(one, with_threads(3));
+/// FNV-1a of the bits, which are the same with any number of threads and on every processor.
+fn hash(steps: fn() -> Vec<u32>) -> u64 {
+    let one = with_threads(1, steps);
+    assert_eq!(one, with_threads(3, steps));
     NARROW.store(true, Relaxed);
-    let narrow = with_threads(2);
+    let narrow = with_threads(2, steps);
     NARROW.store(false, Relaxed);
     assert_eq!(one, narrow);
-    // FNV-1a of the bits: on every processor.
-    let hash = one.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &bits| {
+    one.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, &bits| {
         (hash ^ u64::from(bits)).wrapping_mul(0x100_0000_01b3)
-    });
-    assert_eq!(hash, 0x934f_49ef_7de7_2c49, "{hash:#x}");
+    })
+}
+
+#[test]
+fn threads_and_widths_of_vectors_do_not_change_a_bit() {
+    // One after the other: the width is the process's.
+    for (steps, expected) in
+        [(steps as fn() -> Vec<u32>, 0x934f_49ef_7de7_2c49), (field_steps, 0xf7c5_136d_5008_e0a5)]
+    {
+        let found = hash(steps);
+        assert_eq!(found, expected, "{found:#x}");
+    }
 }

@@ -22,7 +22,7 @@ pub struct Inspection {
 }
 
 /// Statistics of `prediction - render`, and whether it is too similar to the render.
-pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
+pub fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     let n = render.len() as f64;
     let map = || {
         render.iter().zip(prediction).map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)))

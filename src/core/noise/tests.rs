@@ -1,3 +1,5 @@
+mod processor;
+
 use glam::DVec3;
 
 use super::kernels::LayerUniform;

@@ -2,12 +2,16 @@
 //! flat and long ones, that touch about 3.1 tiles each.
 //!
 //! `cargo run --release -p fled-cpu --example parts -- 560 320 30000`, with `RAYON_NUM_THREADS` for
-//! the number of threads. Times are those of all threads together.
+//! the number of threads. Times are those of all threads together. With a last argument `field`,
+//! the noise field alone.
+
+use std::time::Instant;
 
 use fled_cpu::View;
 use fled_cpu::bins::Bins;
 use fled_cpu::blend::{Canvas, SlotSums};
 use fled_cpu::loss::{Loss, Shares};
+use fled_cpu::noise::{self, NoiseField};
 use fled_cpu::population::{Population, column};
 use fled_cpu::project::Projection;
 use fled_cpu::shake::{KNOTS, Kernel, Response, Shake, Tap};
@@ -79,6 +83,41 @@ fn computed() -> f64 {
     1e-9 * times.sum::<f64>()
 }
 
+/// Multiplications and additions of a pixel in a product of its 128 numbers with a layer's weights.
+/// Forward pass, its repetition, derivatives by inputs and by weights have three each.
+const LAYER: f64 = 2.0 * 128.0 * 128.0;
+
+/// Times the noise field.
+fn field(view: &View) {
+    let mut random = Random(3);
+    let parameters = (0..noise::PARAMETERS).map(|_| 0.09 * random.signed()).collect();
+    let mut field = NoiseField::new(0, parameters).expect("as many parameters as it has");
+    let values = 3 * view.size[0] * view.size[1];
+    let (render, gradient) = (vec![0.5; values], vec![1e-6; values]);
+    let mut prediction = Vec::new();
+    let mut times = [const { Vec::new() }; 2];
+    for _ in 0..STEPS / 3 {
+        let begin = (computed(), Instant::now());
+        field.forward(view, &render, &mut prediction);
+        times[0].push((computed() - begin.0, begin.1.elapsed().as_secs_f64()));
+        let begin = (computed(), Instant::now());
+        field.backward(view, &gradient);
+        times[1].push((computed() - begin.0, begin.1.elapsed().as_secs_f64()));
+    }
+    for (name, layers, mut times) in
+        [("field", 3.0, times[0].clone()), ("back", 9.0, times[1].clone())]
+    {
+        times.sort_by(|a, b| f64::total_cmp(&a.0, &b.0));
+        let (computed, elapsed) = times[0];
+        let rate = layers * LAYER * (values / 3) as f64 / computed * 1e-9;
+        eprintln!(
+            "{name:12} {:7.2} ms, elapsed {:7.2}; {rate:.1} GFLOP/s of a core",
+            1e3 * computed,
+            1e3 * elapsed
+        );
+    }
+}
+
 fn main() {
     let numbers: Vec<usize> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
     let [width, height, count] = numbers[..] else {
@@ -86,6 +125,9 @@ fn main() {
         std::process::exit(2);
     };
     let (mut population, view) = (scene(count), view(width, height));
+    if std::env::args().any(|a| a == "field") {
+        return field(&view);
+    }
     let (mut projection, mut bins) = (Projection::default(), Bins::default());
     let (mut canvas, mut sums, mut loss) =
         (Canvas::default(), SlotSums::default(), Loss::default());

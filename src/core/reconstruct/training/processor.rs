@@ -2,6 +2,7 @@
 
 use fled_cpu::blend::SlotSums;
 use fled_cpu::loss::{Loss, LossMeans, Shares};
+use fled_cpu::noise::NoiseField;
 use fled_cpu::population::Population;
 use fled_cpu::shake::{Kernel, Response as Table};
 use fled_cpu::update::{Blended, Step as Update};
@@ -12,7 +13,7 @@ use crate::camera::Camera;
 use crate::device::{ProcessorScene, Scene, Shaken};
 use crate::image::Image;
 use crate::mask::Mask;
-use crate::noise::{Inspection, StateError};
+use crate::noise::{self, Inspection, StateError};
 use crate::reconstruct::densify::Plan;
 use crate::reconstruct::loss::{L1_SHARE, SSIM_SHARE, quantised};
 use crate::reconstruct::optimizer::StepUniform;
@@ -45,6 +46,9 @@ pub(super) struct ProcessorTraining {
     means: LossMeans,
     /// The derivative of the loss by the prediction, planar [3, height, width].
     gradient: Vec<f32>,
+    noise: Option<NoiseField>,
+    /// The render with its noise; what the loss compares if there is a noise field.
+    prediction: Vec<f32>,
     accumulates: bool,
     non_finite: u32,
 }
@@ -60,6 +64,8 @@ impl ProcessorTraining {
             loss: Loss::default(),
             means: LossMeans::default(),
             gradient: Vec::new(),
+            noise: setup.noise.map(noise::processor::field),
+            prediction: Vec::new(),
             accumulates: setup.accumulates,
             non_finite: 0,
         }
@@ -161,8 +167,15 @@ impl Training for ProcessorTraining {
             shake.forward(&canvas.image, kernel, response);
             prediction = &shake.blurred;
         }
+        if let Some(noise) = &self.noise {
+            noise.forward(&view, prediction, &mut self.prediction);
+            prediction = &self.prediction;
+        }
         self.gradient.resize(prediction.len(), 0.0);
         self.means = photograph.compare(&mut self.loss, prediction, &mut self.gradient);
+        if let Some(noise) = &mut self.noise {
+            noise.backward(&view, &self.gradient);
+        }
         let mut by_render = &self.gradient;
         if let Some((response, (_, kernel))) = shaken {
             let weight = (SMOOTH_WEIGHT / canvas.image.len() as f64) as f32;
@@ -203,7 +216,11 @@ impl Training for ProcessorTraining {
     }
 
     fn inspect_noise(&self) -> Result<Option<Inspection>, GpuError> {
-        Ok(None)
+        let clean = match &self.response {
+            Some(_) => &self.scene.shake.blurred,
+            None => &self.scene.canvas.image,
+        };
+        Ok(self.noise.as_ref().map(|_| noise::processor::compare(clean, &self.prediction)))
     }
 
     fn save(&self) -> Result<TrainingState, GpuError> {
@@ -217,11 +234,14 @@ impl Training for ProcessorTraining {
             geometry_moments,
             sh: processor::harmonics(population),
             sh_moments,
-            noise: Vec::new(),
+            noise: self.noise.as_ref().map_or(Vec::new(), noise::processor::save),
         })
     }
 
     fn restore(&mut self, state: &TrainingState) -> Result<(), StateError> {
+        if self.noise.is_some() {
+            self.noise = Some(noise::processor::restore(&state.noise)?);
+        }
         let mut population: Population = processor::population(&state.gaussians()).in_training();
         let moments = [&state.geometry_moments[..], &state.sh_moments];
         processor::set_moments(&mut population, moments);
