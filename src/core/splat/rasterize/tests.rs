@@ -4,7 +4,7 @@
 mod edges;
 mod times;
 
-use fled_gpu::{AdapterInfo, DeviceType};
+use fled_gpu::{AdapterInfo, DeviceType, Gpu};
 
 use super::blending::HALF_TILE;
 use super::order::{ASSIGN_SLOTS, COMPACT_VISIBLE, COUNT_SLOTS, COUNT_VISIBLE, EMIT, TILE_RANGES};
@@ -240,6 +240,25 @@ fn the_same_input_gives_the_same_bits() {
         bits(&a.image)
             != bits(&Case::new(fixtures::gaussians(900, 1, 8), 96, 64).run(chosen()).image)
     );
+}
+
+#[test]
+fn an_image_takes_at_most_six_passes_of_sorting() {
+    let gpu = Gpu::new("auto").unwrap();
+    assert!(gpu.describe().timestamps, "the adapter counts no dispatches");
+    // The last image has 2^16 - 1 tiles, as many as fit keys of 16 bits with one past the last.
+    for (width, height, passes) in [(96, 64, 5), (1120, 640, 6), (1, 16 * 65_535, 6)] {
+        let projection = Projection::new(&gpu, 8).unwrap();
+        let sizes = SplatSizes { gaussians: 8, width, height, intersections: 64 };
+        let buffers = SplatBuffers::new(&gpu, sizes, false).unwrap();
+        let mut recorder = gpu.recorder();
+        Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+        gpu.profile(true);
+        recorder.submit().unwrap();
+        let times = gpu.profiled();
+        let scatters = times.iter().find(|(name, _)| *name == "sort/radix_scatter").unwrap();
+        assert_eq!(scatters.1.dispatches, passes, "{width}x{height}");
+    }
 }
 
 #[test]
