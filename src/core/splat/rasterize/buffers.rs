@@ -123,7 +123,7 @@ impl SplatBuffers {
             tile: RadixSort::new(gpu, slots, tile_bits, INTERSECTIONS)?,
             slot_gaussian: gpu.create("slot gaussian", slots)?,
             tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
-            last: gpu.create("last", 2 * (sizes.tiles() + 1))?,
+            last: gpu.create("last", sizes.tiles() + 1)?,
             scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
             scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
             visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,
