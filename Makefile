@@ -70,7 +70,7 @@ test-api: test-openapi ## a server with played jobs, held to openapi.yaml by req
 # Mesa's software driver takes its subgroups to be as wide as this, whatever the processor has.
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet --workspace --lib -- \
-	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
+	    splat:: || exit 1; done
 
 # FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
 # A browser on a busy machine is late at times: a file that fails runs once more, alone, and fails when it fails again.

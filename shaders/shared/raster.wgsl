@@ -2,11 +2,10 @@
 // invocation, what they need of a splat, and alpha.
 #import shared/tiles.wgsl
 
-// Consecutive pixels of a row that one invocation owns, and invocations of a tile's workgroup.
-const PIXELS: u32 = 16;
+// Consecutive pixels of a row that one invocation owns as one vector, and invocations of a tile's
+// workgroup.
+const PIXELS: u32 = 4;
 const WIDTH: u32 = TILE * TILE / PIXELS;
-// Four pixels are one vector: a quarter of the loop and of its bounds checks.
-const QUADS: u32 = PIXELS / 4;
 
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_STOP: f32 = 1e-4;
@@ -21,6 +20,9 @@ struct Splat {
     curve: vec3<f32>,
     colour: vec3<f32>,
 }
+
+// The splats that the workgroup blends next.
+var<workgroup> batch: array<Splat, WIDTH>;
 
 // One row of `projected`.
 fn splat_of(first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) -> Splat {
@@ -45,20 +47,21 @@ fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
         + vec2<u32>(in_tile % TILE, in_tile / TILE);
 }
 
-// What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of
-// dx^2, dx and 1.
-fn row_exponent(splat: Splat, dy: f32) -> vec3<f32> {
-    return vec3<f32>(splat.curve.x, splat.curve.y * dy, splat.place.z + splat.curve.z * dy * dy);
+// Horizontal offsets of the pixels' centres from the mean; `offset`: that of the first.
+fn offset_of_pixels(offset: vec2<f32>) -> vec4<f32> {
+    return offset.x + vec4<f32>(0.0, 1.0, 2.0, 3.0);
 }
 
-// Opacity before the clamp, at four pixels; 0 where the splat does not count. `dx`: pixel centres
-// minus mean.
-fn raw_alpha(dx: vec4<f32>, row: vec3<f32>) -> vec4<f32> {
-    let raw = exp2(dx * (row.x * dx + row.y) + row.z);
+// Opacity before the clamp, opacity exp(-sigma), at the pixels; 0 where the splat does not count.
+fn raw_alpha(offset: vec2<f32>, splat: Splat) -> vec4<f32> {
+    let dx = offset_of_pixels(offset);
+    let dy = offset.y;
+    let rest = splat.place.z + splat.curve.z * dy * dy;
+    let raw = exp2(dx * (splat.curve.x * dx + splat.curve.y * dy) + rest);
     return select(vec4<f32>(0.0), raw, raw >= vec4<f32>(ALPHA_CUT));
 }
 
-// Which of four pixels lie inside the image.
+// Which of the pixels lie inside the image; `pixel`: the first.
 fn inside_image(pixel: vec2<u32>, size: vec2<u32>) -> vec4<bool> {
     let x = vec4<u32>(pixel.x) + vec4<u32>(0u, 1u, 2u, 3u);
     return (x < vec4<u32>(size.x)) & vec4<bool>(pixel.y < size.y);

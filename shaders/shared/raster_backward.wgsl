@@ -2,10 +2,9 @@
 // from shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so
 // both take the same decisions: behind a splat lies (final colour - colour so far), T is never
 // divided by.
-// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile
+// Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile
 // once. With v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v
 // dx^2, v dx dy), slot_tails (v dy^2), all [slots].
-#import shared/raster_batch.wgsl
 #import shared/raster_pixels_backward.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -55,14 +54,14 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
     let tiles = camera.tiles.x * camera.tiles.y;
     // The kernel is unchecked: a camera larger than the buffers gives no gradient.
     let fits = 3u * plane <= min(arrayLength(&image), arrayLength(&image_gradient));
-    if (!fits || tile > tiles || tile >= min(arrayLength(&last) / 2u, arrayLength(&tile_ranges))) {
+    if (!fits || tile > tiles || tile >= min(arrayLength(&last), arrayLength(&tile_ranges))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
     let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
     // The slots past the last tile were never blended: their rows are zero.
-    let end = select(min(last[2u * tile], range.y), range.x, tile == tiles);
+    let end = select(min(last[tile], range.y), range.x, tile == tiles);
     begin_pixels(pixel);
     for (var at = range.x; at < end; at += GROUP) {
         let slot = slots[min(at + lane, range.y - 1u)];

@@ -4,28 +4,25 @@
 
 // T (negative once stopped), the gradient by the colour, and that gradient times the colour still
 // behind.
-var<private> t: array<vec4<f32>, QUADS>;
-var<private> red: array<vec4<f32>, QUADS>;
-var<private> green: array<vec4<f32>, QUADS>;
-var<private> blue: array<vec4<f32>, QUADS>;
-var<private> behind: array<vec4<f32>, QUADS>;
+var<private> t: vec4<f32>;
+var<private> red: vec4<f32>;
+var<private> green: vec4<f32>;
+var<private> blue: vec4<f32>;
+var<private> behind: vec4<f32>;
 
 fn begin_pixels(pixel: vec2<u32>) {
     let plane = camera.size.x * camera.size.y;
-    for (var q = 0u; q < QUADS; q++) {
-        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
-        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
-        for (var k = 0u; k < 4u; k++) {
-            let i = select(0u, pixel.y * camera.size.x + pixel.x + 4u * q + k, inside[k]);
-            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i],
-                image_gradient[2u * plane + i]);
-            let upstream = select(vec3<f32>(0.0), g, inside[k]);
-            red[q][k] = upstream.x;
-            green[q][k] = upstream.y;
-            blue[q][k] = upstream.z;
-            behind[q][k] =
-                dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
-        }
+    let inside = inside_image(pixel, camera.size);
+    t = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
+    for (var k = 0u; k < PIXELS; k++) {
+        let i = select(0u, pixel.y * camera.size.x + pixel.x + k, inside[k]);
+        let g = vec3<f32>(image_gradient[i], image_gradient[plane + i],
+            image_gradient[2u * plane + i]);
+        let upstream = select(vec3<f32>(0.0), g, inside[k]);
+        red[k] = upstream.x;
+        green[k] = upstream.y;
+        blue[k] = upstream.z;
+        behind[k] = dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
     }
 }
 
@@ -33,31 +30,21 @@ fn begin_pixels(pixel: vec2<u32>) {
 // dy^2, where v = dL/dsigma.
 // `offset`: the centre of the first pixel minus the splat's mean.
 fn blend_backward(splat: Splat, offset: vec2<f32>) -> array<f32, 9> {
-    let row = row_exponent(splat, offset.y);
-    var by_colour = vec3<f32>(0.0);
-    var v0 = 0.0;
-    var v1 = 0.0;
-    var v2 = 0.0;
-    for (var q = 0u; q < QUADS; q++) {
-        let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-        let raw = raw_alpha(dx, row);
-        let alpha = min(raw, vec4<f32>(splat.place.w));
-        let before = t[q];
-        let after = before * (1.0 - alpha);
-        let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
-        let weight = select(alpha * before, vec4<f32>(0.0), stop);
-        let along = red[q] * splat.colour.x + green[q] * splat.colour.y + blue[q] * splat.colour.z;
-        let rest = behind[q] - weight * along;
-        let by_alpha = before * along - rest / (1.0 - alpha);
-        let v = select(-by_alpha * alpha, vec4<f32>(0.0), stop | (raw >= vec4<f32>(ALPHA_MAX)));
-        behind[q] = rest;
-        by_colour += vec3<f32>(dot(weight, red[q]), dot(weight, green[q]), dot(weight, blue[q]));
-        v0 += dot(v, vec4<f32>(1.0));
-        v1 += dot(v, dx);
-        v2 += dot(v, dx * dx);
-        t[q] = select(after, -abs(before), stop);
-    }
+    let dx = offset_of_pixels(offset);
     let dy = offset.y;
-    return array<f32, 9>(by_colour.x, by_colour.y, by_colour.z,
-        v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy);
+    let raw = raw_alpha(offset, splat);
+    let alpha = min(raw, vec4<f32>(splat.place.w));
+    let after = t * (1.0 - alpha);
+    let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
+    let weight = select(alpha * t, vec4<f32>(0.0), stop);
+    let along = red * splat.colour.x + green * splat.colour.y + blue * splat.colour.z;
+    let rest = behind - weight * along;
+    let by_alpha = t * along - rest / (1.0 - alpha);
+    let v = select(-by_alpha * alpha, vec4<f32>(0.0), stop | (raw >= vec4<f32>(ALPHA_MAX)));
+    behind = rest;
+    t = select(after, -abs(t), stop);
+    let v0 = dot(v, vec4<f32>(1.0));
+    let v1 = dot(v, dx);
+    return array<f32, 9>(dot(weight, red), dot(weight, green), dot(weight, blue),
+        v0, v1, v0 * dy, dot(v, dx * dx), v1 * dy, v0 * dy * dy);
 }

@@ -1,11 +1,11 @@
 // What the kernels that scan and sort share: the shape of a block and the parameters of a dispatch.
 
-// Invocations of a workgroup, consecutive elements an invocation, and elements of a block.
+// Invocations of a workgroup, elements an invocation, and elements of a block.
 const WIDTH: u32 = 64;
 const ITEMS: u32 = 16;
 const BLOCK: u32 = WIDTH * ITEMS;
-// Values of a 4-bit digit.
-const DIGITS: u32 = 16;
+// Values of an 8-bit digit.
+const DIGITS: u32 = 256;
 const MAX_WORKGROUPS: u32 = 65535;
 
 struct SortParameters {
@@ -19,8 +19,6 @@ struct SortParameters {
     result: u32,
     // The total is cut to this for the indirect arguments.
     result_capacity: u32,
-    // Values a block in the array that is scanned.
-    per_block: u32,
 }
 
 const FIXED: u32 = 0xffffffffu;

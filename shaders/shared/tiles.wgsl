@@ -32,18 +32,13 @@ fn edge_exponent(fixed: f32, along: f32, across: f32, cross: f32, low: f32, high
     return 0.5 * (across * fixed * fixed + along * free * free) + cross * fixed * free;
 }
 
-fn tile_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, tile: vec2<u32>) -> bool {
-    return box_touched(mean, conic, limit, tile * TILE, vec2<u32>(TILE));
-}
-
-// Whether the splat reaches alpha 1/255 at some pixel centre's position inside a box of pixels.
+// Whether the splat reaches alpha 1/255 at some pixel centre's position inside a tile.
 // `conic`: (a, b, c); `limit`: exponent_limit(opacity).
-fn box_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, corner: vec2<u32>,
-    size: vec2<u32>) -> bool {
+fn tile_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, tile: vec2<u32>) -> bool {
     // Offsets of the outermost pixel centres from the mean.
-    let low = vec2<f32>(corner) + vec2<f32>(0.5) - mean;
-    let high = low + vec2<f32>(size) - vec2<f32>(1.0);
-    // The nearest offset of the box to the mean, by axis: 0 where the mean lies inside.
+    let low = vec2<f32>(tile * TILE) + vec2<f32>(0.5) - mean;
+    let high = low + vec2<f32>(f32(TILE - 1u));
+    // The nearest offset of the tile to the mean, by axis: 0 where the mean lies inside.
     let near = clamp(vec2<f32>(0.0), low, high);
     if (near.x == 0.0 && near.y == 0.0) {
         return limit >= 0.0;

@@ -1,4 +1,4 @@
-// Counts the values of one 4-bit digit in a block of keys.
+// Counts the values of one 8-bit digit in a block of keys.
 // Reads parameters, counters, keys [n]. Writes histogram [DIGITS, blocks]. Dispatch: a workgroup a
 // block.
 #import shared/radix.wgsl
@@ -7,6 +7,8 @@
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> keys: array<u32>;
 @group(0) @binding(3) var<storage, read_write> histogram: array<u32>;
+
+var<workgroup> counts: array<atomic<u32>, DIGITS>;
 
 @compute @workgroup_size(WIDTH)
 fn main(
@@ -17,19 +19,20 @@ fn main(
     let block = flat_workgroup(workgroup, workgroups);
     let n = min(counters[parameters.source], parameters.capacity);
     let blocks = (n + BLOCK - 1u) / BLOCK;
-    clear_digits(lane);
-    let first = min(block * BLOCK + lane * ITEMS, n);
-    let last = min(first + ITEMS, n);
-    for (var i = first; i < last; i++) {
-        digit_counts[digit_of(keys[i], parameters.shift) * WIDTH + lane] += 1u;
+    for (var digit = lane; digit < DIGITS; digit += WIDTH) {
+        atomicStore(&counts[digit], 0u);
     }
-    // All columns are complete.
+    // All counts are 0.
     workgroupBarrier();
-    if (lane < DIGITS && block < blocks) {
-        var sum = 0u;
-        for (var i = 0u; i < WIDTH; i++) {
-            sum += digit_counts[lane * WIDTH + i];
+    let last = min(block * BLOCK + BLOCK, n);
+    for (var i = block * BLOCK + lane; i < last; i += WIDTH) {
+        atomicAdd(&counts[digit_of(keys[i], parameters.shift)], 1u);
+    }
+    // All keys are counted.
+    workgroupBarrier();
+    if (block < blocks) {
+        for (var digit = lane; digit < DIGITS; digit += WIDTH) {
+            histogram[digit * blocks + block] = atomicLoad(&counts[digit]);
         }
-        histogram[lane * blocks + block] = sum;
     }
 }

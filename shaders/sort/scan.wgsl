@@ -1,10 +1,9 @@
-// Exclusive prefix sum of a short array by one workgroup, in place: sums of blocks, or digit
-// counts.
+// Exclusive prefix sum of the sums of blocks, in place.
 // Writes the total to a counter and the indirect arguments of kernels over that many elements: six
 // numbers, workgroups of a block an invocation group, then workgroups of WIDTH elements.
-// Reads parameters; reads and writes counters, values [blocks * per_block]; writes arguments.
+// Reads parameters; reads and writes counters, values [blocks]; writes arguments.
 // Dispatch: 1.
-#import shared/workgroup_scan.wgsl
+#import shared/scan_values.wgsl
 
 @group(0) @binding(0) var<uniform> parameters: SortParameters;
 @group(0) @binding(1) var<storage, read_write> counters: array<u32>;
@@ -23,24 +22,10 @@ fn main(@builtin(local_invocation_index) lane: u32) {
     if (parameters.source != FIXED) {
         count = min(count, counters[parameters.source]);
     }
-    let n = (count + BLOCK - 1u) / BLOCK * parameters.per_block;
-    let chunk = (n + WIDTH - 1u) / WIDTH;
-    let first = min(lane * chunk, n);
-    let last = min(first + chunk, n);
-    var sum = 0u;
-    for (var i = first; i < last; i++) {
-        sum += values[i];
-    }
-    let scanned = workgroup_scan(sum, lane);
-    var before = scanned.before;
-    for (var i = first; i < last; i++) {
-        let value = values[i];
-        values[i] = before;
-        before += value;
-    }
+    let total = scan_values(0u, (count + BLOCK - 1u) / BLOCK, lane);
     if (lane == 0u) {
-        counters[parameters.result] = scanned.total;
-        let cut = min(scanned.total, parameters.result_capacity);
+        counters[parameters.result] = total;
+        let cut = min(total, parameters.result_capacity);
         write_arguments(6u * parameters.result, fold_workgroups((cut + BLOCK - 1u) / BLOCK));
         write_arguments(6u * parameters.result + 3u, fold_workgroups((cut + WIDTH - 1u) / WIDTH));
     }

@@ -1,12 +1,11 @@
 // Blends the splats of a tile front to back. A workgroup a tile, PIXELS consecutive pixels of a row
 // an invocation.
 // Reads camera, tile_ranges [tiles], slots [n] sorted, slot_gaussian [n], projected [count, 3].
-// Writes image [3, height, width], transmittance [height, width], last [tiles, 2]: one past the
-// last intersection that counted, for both halves of the tile.
+// Writes image [3, height, width], transmittance [height, width], last [tiles]: one past the last
+// intersection that counted.
 // Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass
 // below 1e-4; T background is added.
 #import shared/grid.wgsl
-#import shared/raster_batch.wgsl
 #import shared/raster_pixels.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -32,7 +31,7 @@ fn main(
     // The kernel is unchecked: a camera larger than the buffers draws nothing.
     let fits = 3u * plane <= arrayLength(&image) && plane <= arrayLength(&transmittance);
     if (!fits || tile >= min(camera.tiles.x * camera.tiles.y,
-        min(arrayLength(&last) / 2u, arrayLength(&tile_ranges)))) {
+        min(arrayLength(&last), arrayLength(&tile_ranges)))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
@@ -70,8 +69,8 @@ fn main(
             break;
         }
     }
-    if (lane < 2u) {
-        last[2u * tile + lane] = at;
+    if (lane == 0u) {
+        last[tile] = at;
     }
     write_pixels(pixel);
 }

@@ -44,7 +44,7 @@ mod state;
 
 use std::ops::Range;
 
-use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Recorder};
+use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -85,19 +85,12 @@ const DECAY_STEPS: u64 = 100;
 /// Most pixels whose activations are kept at once: 2 x 2.4 KiB per pixel.
 const CHUNK: usize = 4_096;
 /// Parts of the pixels whose weight gradients are summed separately; a GPU needs the invocations.
-const SEGMENTS_ON_CPU: u32 = 1;
-const SEGMENTS_ON_GPU: u32 = 16;
-
-/// Lanes of a subgroup in the kernels that exchange loaded values: lavapipe's.
-const LANES: usize = 8;
+const SEGMENTS: u32 = 16;
 
 /// The network, its optimiser and its buffers.
 pub struct NoiseField {
     network: Network,
     step: u64,
-    segments: u32,
-    /// Whether the layers' kernels exchange loaded values within a subgroup.
-    exchanges: bool,
     chunk_pixels: usize,
     most_pixels: usize,
     current: NoiseUniform,
@@ -113,17 +106,12 @@ impl NoiseField {
         let network = Network::new();
         let most_pixels = size[0] * size[1];
         let chunk_pixels = most_pixels.min(CHUNK);
-        let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-        let exchanges = on_cpu && gpu.describe().subgroup == Some((LANES as u32, LANES as u32));
-        let segments = if on_cpu { SEGMENTS_ON_CPU } else { SEGMENTS_ON_GPU };
-        let buffers = Buffers::new(gpu, &network, most_pixels, chunk_pixels, segments)?;
+        let buffers = Buffers::new(gpu, &network, most_pixels, chunk_pixels)?;
         let initial = network.initial(seed);
         buffers.parameters.write(bytemuck::cast_slice(&initial))?;
         Ok(Self {
             network,
             step: 0,
-            segments,
-            exchanges,
             chunk_pixels,
             most_pixels,
             current: NoiseUniform::default(),
@@ -198,7 +186,7 @@ impl NoiseField {
         let b = &self.buffers;
         let parameters = self.network.parameters();
         let rate = RATE * DECAY.powi((self.step.saturating_sub(1) / DECAY_STEPS) as i32);
-        b.adam.write(&[AdamUniform::new(rate, self.step, self.segments, parameters, limit)])?;
+        b.adam.write(&[AdamUniform::new(rate, self.step, parameters, limit)])?;
         recorder.dispatch_items(
             &kernels::ADAM,
             &[&b.adam, limit.counters, &b.gradients, &b.parameters, &b.moments],
@@ -249,13 +237,8 @@ impl NoiseField {
                 &b.parameters,
                 &b.outputs[layer],
             ];
-            if self.exchanges {
-                let groups = count.div_ceil(16) * shape.outputs4.div_ceil(LANES);
-                recorder.dispatch_groups(&kernels::LAYER_FORWARD_SUBGROUP, &buffers, groups)?;
-            } else {
-                let items = count.div_ceil(8) * shape.outputs4.div_ceil(2);
-                recorder.dispatch_items(&kernels::LAYER_FORWARD, &buffers, items)?;
-            }
+            let items = count.div_ceil(8) * shape.outputs4.div_ceil(2);
+            recorder.dispatch_items(&kernels::LAYER_FORWARD, &buffers, items)?;
         }
         Ok(())
     }
@@ -271,26 +254,15 @@ impl NoiseField {
         for (layer, shape) in self.network.layers.iter().enumerate().rev() {
             let (uniform, input, delta) = (&b.layers[layer], b.input(layer), &b.deltas[layer]);
             let weights: [&dyn fled_gpu::Bind; 5] = [uniform, chunk, delta, input, &b.gradients];
-            if self.exchanges {
-                let groups = shape.inputs4.div_ceil(4) * shape.outputs4.div_ceil(LANES);
-                recorder.dispatch_groups(&kernels::LAYER_WEIGHTS_SUBGROUP, &weights, groups)?;
-            } else {
-                let tiles =
-                    self.segments as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
-                recorder.dispatch_items(&kernels::LAYER_WEIGHTS, &weights, tiles)?;
-            }
+            let tiles = SEGMENTS as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
+            recorder.dispatch_items(&kernels::LAYER_WEIGHTS, &weights, tiles)?;
             if layer == 0 {
                 continue;
             }
             let back: [&dyn fled_gpu::Bind; 6] =
                 [uniform, chunk, delta, &b.parameters, input, &b.deltas[layer - 1]];
-            if self.exchanges {
-                let groups = count.div_ceil(16) * shape.inputs4.div_ceil(LANES);
-                recorder.dispatch_groups(&kernels::LAYER_BACKWARD_SUBGROUP, &back, groups)?;
-            } else {
-                let items = count.div_ceil(8) * shape.inputs4.div_ceil(2);
-                recorder.dispatch_items(&kernels::LAYER_BACKWARD, &back, items)?;
-            }
+            let items = count.div_ceil(8) * shape.inputs4.div_ceil(2);
+            recorder.dispatch_items(&kernels::LAYER_BACKWARD, &back, items)?;
         }
         Ok(())
     }

@@ -4,7 +4,7 @@ use std::sync::{Arc, PoisonError};
 
 use crate::pipeline::Pipeline;
 use crate::reflect::Access;
-use crate::{DeviceType, Gpu, GpuError, Kernel};
+use crate::{Gpu, GpuError, Kernel};
 
 impl Gpu {
     /// Compiles a kernel now instead of at its first dispatch.
@@ -27,23 +27,11 @@ impl Gpu {
     }
 
     fn compile(&self, kernel: &Kernel) -> Result<Pipeline, GpuError> {
-        let (mut text, reflection) = kernel.reflect()?;
-        // Mesa's software driver specialises a kernel for its uniforms, and beyond some thousand
-        // specialisations compiles at every dispatch; storage buffers avoid that. Measured with
-        // 22.3 on fox, `preview`, noise field on: 10.8 steps/s with storage; 3.8 after 265 steps
-        // and falling with uniforms.
-        let stored = self.describe().device_type == DeviceType::Cpu;
-        if stored {
-            text = text.replace("var<uniform>", "var<storage, read>");
-        }
+        let (text, reflection) = kernel.reflect()?;
         let device = &self.inner.device;
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
-        let entries: Vec<_> = kernel
-            .bindings
-            .iter()
-            .zip(0..)
-            .map(|(b, i)| layout_entry(i, b.access, stored))
-            .collect();
+        let entries: Vec<_> =
+            kernel.bindings.iter().zip(0..).map(|(b, i)| layout_entry(i, b.access)).collect();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(kernel.name),
             entries: &entries,
@@ -87,10 +75,10 @@ fn create_module(device: &wgpu::Device, kernel: &Kernel, text: String) -> wgpu::
     }
 }
 
-fn layout_entry(binding: u32, access: Access, stored: bool) -> wgpu::BindGroupLayoutEntry {
+fn layout_entry(binding: u32, access: Access) -> wgpu::BindGroupLayoutEntry {
     let ty = match access {
-        Access::Uniform if !stored => wgpu::BufferBindingType::Uniform,
-        Access::Uniform | Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+        Access::Uniform => wgpu::BufferBindingType::Uniform,
+        Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
         Access::ReadWrite => wgpu::BufferBindingType::Storage { read_only: false },
     };
     wgpu::BindGroupLayoutEntry {

@@ -2,6 +2,7 @@
 
 use fled_gpu::{Buffer, Gpu, GpuError};
 
+use super::SEGMENTS;
 use super::kernels::{AdamUniform, ChunkUniform, LayerUniform, NoiseUniform};
 use super::network::{LAYERS, Network};
 
@@ -27,11 +28,10 @@ impl Buffers {
         network: &Network,
         pixels: usize,
         chunk: usize,
-        segments: u32,
     ) -> Result<Self, GpuError> {
-        // Layers process 8 or 16 pixels at once and write rows past the last; a chunk ends at a
-        // multiple of 16.
-        let (rows, all_rows) = (chunk.next_multiple_of(16), pixels.next_multiple_of(16));
+        // Layers process 8 pixels at once and write rows past the last; a chunk ends at a multiple
+        // of 8.
+        let (rows, all_rows) = (chunk.next_multiple_of(8), pixels.next_multiple_of(8));
         let last = LAYERS - 1;
         let output = |layer: usize, rows: usize, all_rows: usize| {
             let rows = if layer == last { all_rows } else { rows };
@@ -45,15 +45,13 @@ impl Buffers {
                 .map(|_| gpu.create("noise chunk", 1))
                 .collect::<Result<_, _>>()?,
             layers: layers
-                .map(|shape| {
-                    gpu.upload("noise layer", &[LayerUniform::new(shape, segments, parameters)])
-                })
+                .map(|shape| gpu.upload("noise layer", &[LayerUniform::new(shape, parameters)]))
                 .collect::<Result<_, _>>()?,
             adam: gpu.create("noise adam", 1)?,
             encoded: gpu.create("noise encoding", rows * network.layers[0].input_stride4)?,
             outputs: (0..LAYERS).map(|l| output(l, rows, all_rows)).collect::<Result<_, _>>()?,
             deltas: (0..LAYERS).map(|l| output(l, rows, rows)).collect::<Result<_, _>>()?,
-            gradients: gpu.create("noise gradients", segments as usize * parameters)?,
+            gradients: gpu.create("noise gradients", SEGMENTS as usize * parameters)?,
             parameters: gpu.create("noise parameters", parameters)?,
             moments: gpu.create("noise moments", 2 * parameters)?,
         })

@@ -3,10 +3,10 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
-use fled_gpu::{Binding, Kernel, read, read_write, uniform};
+use fled_gpu::{Kernel, read, read_write, uniform};
 
-use super::IntersectionLimit;
 use super::network::{Layer, OCTAVES};
+use super::{IntersectionLimit, SEGMENTS};
 use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
@@ -14,11 +14,10 @@ pub(super) const ENCODE: Kernel = Kernel::new(
     &[uniform("field"), uniform("chunk"), read_write("encoded"), read_write("features")],
 );
 
-const LAYER_FORWARD_BINDINGS: &[Binding] =
-    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")];
-pub(super) const LAYER_FORWARD: Kernel = Kernel::new("noise/layer_forward", LAYER_FORWARD_BINDINGS);
-pub(super) const LAYER_FORWARD_SUBGROUP: Kernel =
-    Kernel::new("noise/layer_forward_subgroup", LAYER_FORWARD_BINDINGS);
+pub(super) const LAYER_FORWARD: Kernel = Kernel::new(
+    "noise/layer_forward",
+    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")],
+);
 
 pub(super) const COMPOSE: Kernel = Kernel::new(
     "noise/compose",
@@ -30,24 +29,22 @@ pub(super) const OUTPUT_DELTA: Kernel = Kernel::new(
     &[uniform("field"), uniform("chunk"), read("raw"), read("gradient"), read_write("delta")],
 );
 
-const LAYER_BACKWARD_BINDINGS: &[Binding] = &[
-    uniform("layer"),
-    uniform("chunk"),
-    read("delta"),
-    read("parameters"),
-    read("input"),
-    read_write("input_delta"),
-];
-pub(super) const LAYER_BACKWARD: Kernel =
-    Kernel::new("noise/layer_backward", LAYER_BACKWARD_BINDINGS);
-pub(super) const LAYER_BACKWARD_SUBGROUP: Kernel =
-    Kernel::new("noise/layer_backward_subgroup", LAYER_BACKWARD_BINDINGS);
+pub(super) const LAYER_BACKWARD: Kernel = Kernel::new(
+    "noise/layer_backward",
+    &[
+        uniform("layer"),
+        uniform("chunk"),
+        read("delta"),
+        read("parameters"),
+        read("input"),
+        read_write("input_delta"),
+    ],
+);
 
-const LAYER_WEIGHTS_BINDINGS: &[Binding] =
-    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")];
-pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new("noise/layer_weights", LAYER_WEIGHTS_BINDINGS);
-pub(super) const LAYER_WEIGHTS_SUBGROUP: Kernel =
-    Kernel::new("noise/layer_weights_subgroup", LAYER_WEIGHTS_BINDINGS);
+pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new(
+    "noise/layer_weights",
+    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")],
+);
 
 pub(super) const ADAM: Kernel = Kernel::new(
     "noise/adam",
@@ -132,7 +129,7 @@ pub(super) struct LayerUniform {
 }
 
 impl LayerUniform {
-    pub(super) fn new(layer: &Layer, segments: u32, parameters: usize) -> Self {
+    pub(super) fn new(layer: &Layer, parameters: usize) -> Self {
         Self {
             inputs: layer.inputs4 as u32,
             outputs: layer.outputs4 as u32,
@@ -143,7 +140,7 @@ impl LayerUniform {
             relu: u32::from(layer.relu),
             input_relu: u32::from(layer.input_relu),
             whole: u32::from(layer.whole),
-            segments,
+            segments: SEGMENTS,
             parameters: parameters as u32,
             padding: 0,
         }
@@ -168,7 +165,6 @@ impl AdamUniform {
     pub(super) fn new(
         rate: f64,
         step: u64,
-        segments: u32,
         parameters: usize,
         limit: &IntersectionLimit<'_>,
     ) -> Self {
@@ -177,7 +173,7 @@ impl AdamUniform {
             rate: rate as f32,
             correction_1: correction(0.9),
             correction_2: correction(0.999),
-            segments,
+            segments: SEGMENTS,
             parameters: parameters as u32,
             total_at: limit.total_at,
             capacity: limit.capacity,

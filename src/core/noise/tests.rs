@@ -107,8 +107,7 @@ fn many_chunks_equal_one_chunk() {
     let mut parts = Fixture::new(13, 9);
     parts.field.chunk_pixels = 16;
     parts.field.buffers =
-        Buffers::new(&parts.gpu, &parts.field.network, 13 * 9, 16, parts.field.segments)
-            .expect("buffers");
+        Buffers::new(&parts.gpu, &parts.field.network, 13 * 9, 16).expect("buffers");
     let start = whole.field.buffers.parameters.read().expect("read");
     parts.field.buffers.parameters.write(&start).expect("written");
     let ([map, gradients], [map_2, gradients_2]) = (whole.compare(), parts.compare());

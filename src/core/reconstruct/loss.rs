@@ -23,7 +23,7 @@
 pub mod reference;
 
 use bytemuck::{Pod, Zeroable};
-use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
 use crate::image::Image;
 use crate::mask::Mask;
@@ -37,10 +37,9 @@ pub const SSIM_SHARE: f64 = 0.2;
 /// `COLUMNS` of shaders/shared/loss.wgsl.
 const COLUMNS: u32 = 4;
 
-/// Rows that an invocation walks down. It reads ten rows more, so a long run wastes less; a GPU
-/// needs the many invocations of short runs.
-const RUN_ON_CPU: u32 = 32;
-const RUN_ON_GPU: u32 = 8;
+/// Rows that an invocation walks down. It reads ten rows more, so a long run wastes less, but makes
+/// fewer invocations.
+const RUN: u32 = 8;
 
 const SIMILARITY: Kernel = Kernel::new(
     "train/loss_similarity",
@@ -88,14 +87,14 @@ struct LossUniform {
 }
 
 impl LossUniform {
-    fn new(width: usize, height: usize, run: u32) -> Self {
+    fn new(width: usize, height: usize) -> Self {
         let values = 3 * width * height;
         Self {
             width: width as u32,
             height: height as u32,
-            run,
+            run: RUN,
             blocks_x: (width as u32).div_ceil(COLUMNS),
-            blocks_y: (height as u32).div_ceil(run),
+            blocks_y: (height as u32).div_ceil(RUN),
             l1_weight: (L1_SHARE / values as f64) as f32,
             ssim_weight: (SSIM_SHARE / values as f64) as f32,
             values: values as u32,
@@ -137,12 +136,7 @@ impl Loss {
     /// # Errors
     /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu, width: usize, height: usize) -> Result<Self, GpuError> {
-        let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-        Self::with_run(gpu, width, height, if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU })
-    }
-
-    fn with_run(gpu: &Gpu, width: usize, height: usize, run: u32) -> Result<Self, GpuError> {
-        let layout = LossUniform::new(width, height, run);
+        let layout = LossUniform::new(width, height);
         let values = layout.values as usize;
         Ok(Self {
             layout,

@@ -1,13 +1,19 @@
-//! Stable radix sort of u32 pairs on the GPU, 4 bits per pass; a GPU buffer holds the number of
+//! Stable radix sort of u32 pairs on the GPU, 8 bits per pass; a GPU buffer holds the number of
 //! pairs.
+//!
+//! A pass counts the digits of each block of keys, sums the counts over the blocks, and moves each
+//! block. Blocks are independent, and a key's rank in its block follows from integer counts, so the
+//! order depends on neither the device nor its subgroups.
 
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
 /// Elements per block: BLOCK of shaders/shared/sort.wgsl.
 pub const BLOCK: usize = 1024;
+/// Bits of a digit.
+const DIGIT_BITS: u32 = 8;
 /// Values of a digit.
-const DIGITS: usize = 16;
+const DIGITS: usize = 1 << DIGIT_BITS;
 /// `source` of [`SortParameters`] when the number of elements is `capacity` itself.
 pub const FIXED: u32 = u32::MAX;
 
@@ -21,6 +27,11 @@ pub const RADIX_COUNT: Kernel = Kernel::new(
     "sort/radix_count",
     &[uniform("parameters"), read("counters"), read("keys"), read_write("histogram")],
 );
+/// Prefix sums of the counts of each digit over the blocks.
+pub const RADIX_SCAN: Kernel = Kernel::new(
+    "sort/radix_scan",
+    &[uniform("parameters"), read("counters"), read_write("values"), read_write("totals")],
+);
 /// Moves the pairs of a block.
 pub const RADIX_SCATTER: Kernel = Kernel::new(
     "sort/radix_scatter",
@@ -28,6 +39,7 @@ pub const RADIX_SCATTER: Kernel = Kernel::new(
         uniform("parameters"),
         read("counters"),
         read("histogram"),
+        read("totals"),
         read("keys"),
         read("payloads"),
         read_write("keys_out"),
@@ -49,8 +61,6 @@ pub struct SortParameters {
     pub result: u32,
     /// Upper bound of the total in the indirect arguments.
     pub result_capacity: u32,
-    /// Values per block in the scanned array.
-    pub per_block: u32,
 }
 
 /// Counts that only the GPU knows, and the workgroups of the dispatches that depend on them.
@@ -66,14 +76,14 @@ pub struct Counters {
 }
 
 impl Counters {
-    /// `count` counters and a spare one for unused totals.
+    /// `count` counters.
     ///
     /// # Errors
     /// Out of memory.
     pub fn new(gpu: &Gpu, count: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            values: gpu.create("counters", count + 1)?,
-            arguments: gpu.create("arguments", 6 * (count + 1))?,
+            values: gpu.create("counters", count)?,
+            arguments: gpu.create("arguments", 6 * count)?,
         })
     }
 
@@ -86,10 +96,6 @@ impl Counters {
     pub fn elements(index: u32) -> usize {
         6 * index as usize + 3
     }
-
-    fn spare(&self) -> u32 {
-        self.values.len() as u32 - 1
-    }
 }
 
 /// Buffers of a sort of at most `capacity` pairs.
@@ -100,33 +106,28 @@ pub struct RadixSort {
     keys: [Buffer<u32>; 2],
     payloads: [Buffer<u32>; 2],
     histogram: Buffer<u32>,
+    totals: Buffer<u32>,
     passes: Vec<Buffer<SortParameters>>,
-    scan: Buffer<SortParameters>,
     source: u32,
 }
 
 impl RadixSort {
-    /// A sort by the lowest `bits` bits of `counters[source]` pairs, at most `capacity`.
+    /// A sort by the lowest `bits` bits of as many pairs as counter `source` holds, at most
+    /// `capacity`.
     ///
     /// # Errors
     /// Out of memory.
-    pub fn new(
-        gpu: &Gpu,
-        capacity: usize,
-        bits: u32,
-        counters: &Counters,
-        source: u32,
-    ) -> Result<Self, GpuError> {
-        let parameters = SortParameters {
-            shift: 0,
-            source,
-            capacity: capacity as u32,
-            result: counters.spare(),
-            result_capacity: 0,
-            per_block: DIGITS as u32,
+    pub fn new(gpu: &Gpu, capacity: usize, bits: u32, source: u32) -> Result<Self, GpuError> {
+        let pass = |digit| {
+            let parameters = SortParameters {
+                shift: DIGIT_BITS * digit,
+                source,
+                capacity: capacity as u32,
+                result: 0,
+                result_capacity: 0,
+            };
+            gpu.upload("sort pass", &[parameters])
         };
-        let pass =
-            |digit| gpu.upload("sort pass", &[SortParameters { shift: 4 * digit, ..parameters }]);
         Ok(Self {
             keys: [gpu.create("sort keys", capacity)?, gpu.create("sort keys", capacity)?],
             payloads: [
@@ -134,8 +135,8 @@ impl RadixSort {
                 gpu.create("sort payloads", capacity)?,
             ],
             histogram: gpu.create("sort histogram", DIGITS * capacity.div_ceil(BLOCK))?,
-            passes: (0..bits.div_ceil(4)).map(pass).collect::<Result<_, _>>()?,
-            scan: gpu.upload("sort scan", &[parameters])?,
+            totals: gpu.create("sort totals", DIGITS)?,
+            passes: (0..bits.div_ceil(DIGIT_BITS)).map(pass).collect::<Result<_, _>>()?,
             source,
         })
     }
@@ -175,9 +176,9 @@ impl RadixSort {
                 blocks,
             )?;
             recorder.dispatch(
-                &SCAN,
-                &[&self.scan, &counters.values, &self.histogram, &counters.arguments],
-                [1, 1, 1],
+                &RADIX_SCAN,
+                &[parameters, &counters.values, &self.histogram, &self.totals],
+                [DIGITS as u32, 1, 1],
             )?;
             recorder.dispatch_indirect(
                 &RADIX_SCATTER,
@@ -185,6 +186,7 @@ impl RadixSort {
                     parameters,
                     &counters.values,
                     &self.histogram,
+                    &self.totals,
                     &self.keys[from],
                     &self.payloads[from],
                     &self.keys[to],
@@ -208,7 +210,7 @@ mod tests {
         let gpu = Gpu::new("auto").unwrap();
         let n = keys.len();
         let counters = Counters::new(&gpu, 1).unwrap();
-        let sort = RadixSort::new(&gpu, n, bits, &counters, 0).unwrap();
+        let sort = RadixSort::new(&gpu, n, bits, 0).unwrap();
         sort.keys().write(keys).unwrap();
         sort.payloads().write(&(0..n as u32).collect::<Vec<_>>()).unwrap();
         let total = gpu.upload("total", &[n as u32]).unwrap();
@@ -218,7 +220,6 @@ mod tests {
             capacity: 1,
             result: 0,
             result_capacity: n as u32,
-            per_block: 1,
         };
         let parameters = gpu.upload("parameters", &[parameters]).unwrap();
         let mut recorder = gpu.recorder();
@@ -278,10 +279,11 @@ mod tests {
         let (_, found) = SCAN.reflect().unwrap();
         let structure = found.structure("SortParameters").unwrap();
         assert_eq!(structure.size as usize, size_of::<SortParameters>());
-        assert_eq!(structure.members[5], ("per_block".to_owned(), 20));
+        assert_eq!(structure.members[4], ("result_capacity".to_owned(), 16));
         assert_eq!(found.constant("BLOCK"), Some(BLOCK as f64));
         assert_eq!(found.constant("DIGITS"), Some(DIGITS as f64));
         RADIX_COUNT.reflect().unwrap();
+        RADIX_SCAN.reflect().unwrap();
         RADIX_SCATTER.reflect().unwrap();
     }
 }

@@ -109,7 +109,7 @@ pub(super) struct Sorting {
 impl Sorting {
     pub(super) fn new(gpu: &Gpu, keys: usize, seed: u64) -> Result<Self, BenchError> {
         let counters = Counters::new(gpu, 1)?;
-        let sort = RadixSort::new(gpu, keys, KEY_BITS, &counters, 0)?;
+        let sort = RadixSort::new(gpu, keys, KEY_BITS, 0)?;
         count(gpu, &counters, keys)?;
         let mut random = Pcg64::seed_from_u64(seed);
         let unsorted: Vec<u32> = (0..keys).map(|_| random.random()).collect();
@@ -131,14 +131,12 @@ impl Subject for Sorting {
 /// Writes the number of keys to the sort's counter.
 fn count(gpu: &Gpu, counters: &Counters, keys: usize) -> Result<(), GpuError> {
     let total = gpu.upload("total", &[keys as u32])?;
-    let (shift, per_block) = (0, 1);
     let row = SortParameters {
-        shift,
+        shift: 0,
         source: FIXED,
         capacity: 1,
         result: 0,
         result_capacity: keys as u32,
-        per_block,
     };
     let row = gpu.upload("parameters", &[row])?;
     let mut recorder = gpu.recorder();

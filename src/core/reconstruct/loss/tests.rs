@@ -21,9 +21,9 @@ fn pictures(width: usize, height: usize) -> (Image, Image) {
 }
 
 /// Gradient and value by the kernels.
-fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossValue) {
+fn on_device(prediction: &Image, target: &Image) -> (Vec<f32>, LossValue) {
     let gpu = gpu();
-    let loss = Loss::with_run(&gpu, target.width(), target.height(), run).expect("buffers");
+    let loss = Loss::new(&gpu, target.width(), target.height()).expect("buffers");
     let packed = upload_target(&gpu, target).expect("upload");
     let input = gpu.upload("prediction", prediction.data()).expect("upload");
     let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
@@ -51,9 +51,9 @@ fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
 
 #[test]
 fn the_kernels_match_the_reference_at_odd_sizes() {
-    for (width, height, run) in [(281, 161, 32), (281, 161, 8), (13, 7, 32), (3, 50, 8)] {
+    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
         let (prediction, target) = pictures(width, height);
-        let (gradient, value) = on_device(&prediction, &target, run);
+        let (gradient, value) = on_device(&prediction, &target);
         let expected = expected(&prediction, &target);
         assert_agrees(
             &format!("gradient at {width}x{height}"),
@@ -84,11 +84,11 @@ fn mask(width: usize, height: usize) -> Mask {
 
 #[test]
 fn the_masked_kernels_match_the_reference_at_odd_sizes() {
-    for (width, height, run) in [(281, 161, 32), (13, 7, 32), (3, 50, 8)] {
+    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
         let (prediction, target) = pictures(width, height);
         let mask = mask(width, height);
         let gpu = gpu();
-        let mut loss = Loss::with_run(&gpu, width, height, run).expect("buffers");
+        let mut loss = Loss::new(&gpu, width, height).expect("buffers");
         loss.make_masks(&gpu).expect("buffers");
         let packed = upload_target(&gpu, &target).expect("upload");
         let kept = upload_mask(&gpu, &mask).expect("upload");
@@ -131,7 +131,7 @@ fn a_masked_loss_needs_room_and_a_whole_mask() {
 #[test]
 fn the_comparison_detects_other_weights() {
     let (prediction, target) = pictures(33, 21);
-    let (gradient, _) = on_device(&prediction, &target, 8);
+    let (gradient, _) = on_device(&prediction, &target);
     let expected = expected(&prediction, &target);
     let wrong: Vec<f64> = expected.gradient.iter().map(|g| g * 0.998).collect();
     assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
@@ -140,7 +140,7 @@ fn the_comparison_detects_other_weights() {
 #[test]
 fn the_same_images_give_the_same_bits() {
     let (prediction, target) = pictures(75, 41);
-    let (first, second) = (on_device(&prediction, &target, 8), on_device(&prediction, &target, 8));
+    let (first, second) = (on_device(&prediction, &target), on_device(&prediction, &target));
     assert_eq!(first.0, second.0);
     assert_eq!(first.1, second.1);
 }

@@ -108,14 +108,7 @@ impl SplatBuffers {
         let tile_bits = usize::BITS - sizes.tiles().leading_zeros();
         let parameters = |source, capacity: usize, result, result_capacity: usize| {
             let (capacity, result_capacity) = (capacity as u32, result_capacity as u32);
-            let row = SortParameters {
-                shift: 0,
-                source,
-                capacity,
-                result,
-                result_capacity,
-                per_block: 1,
-            };
+            let row = SortParameters { shift: 0, source, capacity, result, result_capacity };
             gpu.upload("parameters", &[row])
         };
         Ok(Self {
@@ -126,11 +119,11 @@ impl SplatBuffers {
             slots: SlotRows::new(gpu, if gradients { slots } else { 0 })?,
             block_sums: gpu.create("block sums", gaussians.div_ceil(BLOCK))?,
             slot_sums: gpu.create("slot sums", gaussians.div_ceil(BLOCK))?,
-            depth: RadixSort::new(gpu, gaussians, 32, &counters, VISIBLE)?,
-            tile: RadixSort::new(gpu, slots, tile_bits, &counters, INTERSECTIONS)?,
+            depth: RadixSort::new(gpu, gaussians, 32, VISIBLE)?,
+            tile: RadixSort::new(gpu, slots, tile_bits, INTERSECTIONS)?,
             slot_gaussian: gpu.create("slot gaussian", slots)?,
             tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
-            last: gpu.create("last", 2 * (sizes.tiles() + 1))?,
+            last: gpu.create("last", sizes.tiles() + 1)?,
             scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
             scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
             visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,

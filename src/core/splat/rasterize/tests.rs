@@ -4,9 +4,9 @@
 mod edges;
 mod times;
 
-use fled_gpu::{AdapterInfo, DeviceType};
+use fled_gpu::{AdapterInfo, Gpu};
 
-use super::blending::HALF_TILE;
+use super::blending::WIDTH;
 use super::order::{ASSIGN_SLOTS, COMPACT_VISIBLE, COUNT_SLOTS, COUNT_VISIBLE, EMIT, TILE_RANGES};
 use super::slots::gradient;
 use super::*;
@@ -124,41 +124,25 @@ fn flat(g: &ProjectedGradient) -> [f64; SLOT_ROW] {
 
 /// All specialisations that this adapter can run.
 fn specialisations() -> Vec<Specialisation> {
-    let subgroup = Specialisation::for_adapter(fixtures::gpu().describe()).subgroup;
-    let plain = |subgroup: Option<u32>| {
-        let fits = move |pixels: &u32| subgroup.is_none_or(|size| size <= TILE * TILE / pixels);
-        [4, 8, 16].into_iter().filter(fits).map(move |pixels| Specialisation {
-            pixels,
-            subgroup,
-            walks: false,
-        })
-    };
-    let mut all: Vec<_> = plain(None).collect();
-    if let Some(size) = subgroup {
-        all.extend(plain(subgroup));
-        let walks = Specialisation { pixels: HALF_TILE / size, subgroup, walks: true };
-        all.extend((walks.pixels >= 4).then_some(walks));
-    }
-    all
+    let generic = Specialisation { subgroup: None };
+    let reducing = Some(chosen()).filter(|chosen| *chosen != generic);
+    [generic].into_iter().chain(reducing).collect()
 }
 
 #[test]
 fn every_adapter_gets_kernels_that_fit_its_subgroups() {
-    let chosen = |device_type, subgroup| {
-        let info = AdapterInfo { device_type, subgroup, ..fixtures::gpu().describe().clone() };
-        let Specialisation { pixels, subgroup, walks } = Specialisation::for_adapter(&info);
-        (pixels, subgroup, walks)
+    let chosen = |subgroup| {
+        let info = AdapterInfo { subgroup, ..fixtures::gpu().describe().clone() };
+        Specialisation::for_adapter(&info).subgroup
     };
-    let (cpu, card) = (DeviceType::Cpu, DeviceType::Discrete);
-    assert_eq!(chosen(cpu, Some((8, 8))), (16, Some(8), true));
-    assert_eq!(chosen(cpu, Some((16, 16))), (8, Some(16), true));
-    // Without wide vectors, and without subgroups.
-    assert_eq!(chosen(cpu, Some((4, 4))), (16, None, false));
-    assert_eq!(chosen(cpu, None), (16, None, false));
-    assert_eq!(chosen(card, Some((32, 32))), (4, Some(32), false));
-    assert_eq!(chosen(card, Some((64, 64))), (4, Some(64), false));
-    // The size varies from kernel to kernel.
-    assert_eq!(chosen(card, Some((8, 32))), (4, None, false));
+    for size in [8, 32, 64] {
+        assert_eq!(chosen(Some((size, size))), Some(size));
+    }
+    // Too narrow, too wide, and of a size that varies from kernel to kernel.
+    for subgroup in [(4, 4), (128, 128), (8, 32)] {
+        assert_eq!(chosen(Some(subgroup)), None);
+    }
+    assert_eq!(chosen(None), None);
 }
 
 fn chosen() -> Specialisation {
@@ -243,6 +227,25 @@ fn the_same_input_gives_the_same_bits() {
 }
 
 #[test]
+fn an_image_takes_at_most_six_passes_of_sorting() {
+    let gpu = Gpu::new("auto").unwrap();
+    assert!(gpu.describe().timestamps, "the adapter counts no dispatches");
+    // The last image has 2^16 - 1 tiles, as many as fit keys of 16 bits with one past the last.
+    for (width, height, passes) in [(96, 64, 5), (1120, 640, 6), (1, 16 * 65_535, 6)] {
+        let projection = Projection::new(&gpu, 8).unwrap();
+        let sizes = SplatSizes { gaussians: 8, width, height, intersections: 64 };
+        let buffers = SplatBuffers::new(&gpu, sizes, false).unwrap();
+        let mut recorder = gpu.recorder();
+        Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+        gpu.profile(true);
+        recorder.submit().unwrap();
+        let times = gpu.profiled();
+        let scatters = times.iter().find(|(name, _)| *name == "sort/radix_scatter").unwrap();
+        assert_eq!(scatters.1.dispatches, passes, "{width}x{height}");
+    }
+}
+
+#[test]
 fn every_row_of_the_kernel_table_agrees_with_its_shader() {
     let rows = [COUNT_VISIBLE, COMPACT_VISIBLE, COUNT_SLOTS, ASSIGN_SLOTS, EMIT, TILE_RANGES];
     for kernel in rows {
@@ -251,9 +254,8 @@ fn every_row_of_the_kernel_table_agrees_with_its_shader() {
     for specialisation in specialisations() {
         specialisation.forward().reflect().unwrap();
         let (_, found) = specialisation.backward().reflect().unwrap();
-        if !specialisation.walks {
-            assert_eq!(found.constant("SUMS"), Some(SLOT_ROW as f64));
-        }
+        assert_eq!(found.constant("SUMS"), Some(SLOT_ROW as f64));
+        assert_eq!(found.workgroup, [WIDTH, 1, 1]);
         assert_eq!(found.constant("TILE"), Some(f64::from(TILE)));
     }
 }

@@ -15,8 +15,7 @@ const RUNS: f64 = 20.0;
 #[ignore = "a measurement"]
 fn blending_times() {
     let gpu = fixtures::gpu();
-    let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-    let (width, height, n) = if on_cpu { (280, 160, 10_000) } else { (1120, 640, 200_000) };
+    let (width, height, n) = (1120, 640, 200_000);
     let mut gaussians = fixtures::gaussians(n, 0, 3);
     gaussians.log_scales.iter_mut().flatten().for_each(|s| *s -= 0.55);
     let view = fixtures::viewpoint(width, height);
