@@ -20,7 +20,7 @@ export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
-setup: ## Debian packages: COLMAP, ffmpeg, a software Vulkan driver, pip (as root; else it says what to run)
+setup: ## Debian packages: COLMAP, ffmpeg, the Vulkan loader, pip (as root; else it says what to run)
 	@tools/setup.sh
 
 onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/
@@ -36,7 +36,7 @@ build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
 test: test-openapi test-types setup onnxruntime matcher test-python ## every test but test-nightly, test-browser, test-training and test-peers
-	@tools/setup.sh postgresql
+	@tools/setup.sh vulkan postgresql
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-api FLED=$${CARGO_TARGET_DIR:-target}/release/fled
 

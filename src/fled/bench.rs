@@ -48,7 +48,7 @@ pub struct Args {
     /// File for the results as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Part of the graphics adapter's name, or auto.
+    /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
     #[command(flatten)]

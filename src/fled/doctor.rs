@@ -26,7 +26,7 @@ pub struct Args {
     /// Folder whose disk is checked.
     #[arg(long, value_name = "DIR", default_value = ".")]
     data: PathBuf,
-    /// Part of the graphics adapter's name, or auto.
+    /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
     /// Prints one line of JSON instead of a table.

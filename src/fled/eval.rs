@@ -45,7 +45,7 @@ pub struct Args {
     /// Path of the ONNX Runtime library, for LPIPS.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
     onnxruntime: Option<PathBuf>,
-    /// Part of the graphics adapter's name, or auto.
+    /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
 }

@@ -60,7 +60,7 @@ pub struct Args {
     /// Uses this round's scene instead of the delivered one.
     #[arg(long, conflicts_with = "plan")]
     round: Option<u32>,
-    /// Part of the graphics adapter's name, or auto.
+    /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
     /// Prints progress as JSON lines on standard output.

@@ -22,7 +22,7 @@ pub struct Args {
     /// Number of jobs to run at a time.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Part of the graphics adapter's name, or auto: what this machine reports that it trains on.
+    /// The device that this machine reports: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
     #[command(flatten)]

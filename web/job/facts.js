@@ -28,7 +28,7 @@ export function factList(report) {
     "Photographs placed": placed,
     Shake: shake(report),
     "Set by the shake": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
-    "Graphics adapter": report.adapter,
+    "Trained on": report.adapter,
     // Each photograph's place has a table of its own.
     Poses: report.poses && without(report.poses, "verdicts"),
     Models: report.models,

@@ -231,7 +231,7 @@ pub struct Report {
     pub in_effect: BTreeMap<String, serde_json::Value>,
     /// Wall seconds by stage.
     pub stages: BTreeMap<String, f64>,
-    /// The GPU adapter and its driver.
+    /// The GPU with its driver, or the processor.
     pub adapter: String,
     /// Networks in use: role to `id sha256 provider`.
     pub models: BTreeMap<String, String>,

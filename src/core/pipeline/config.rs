@@ -85,7 +85,7 @@ pub struct Options {
     pub deliver: Deliver,
     /// Random seed.
     pub seed: u64,
-    /// Part of the graphics adapter's name, or `auto`.
+    /// `auto`, `cpu`, or part of a Vulkan adapter's name.
     pub adapter: String,
 }
 

@@ -344,7 +344,7 @@ fn failed(error: &RenderError) -> Problem {
         RenderError::Refused(_) | RenderError::Process(_) => "render_failed",
     };
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, without_paths(&error.to_string()))
-        .hint("Try again. /readyz shows whether the graphics adapter works.")
+        .hint("Try again. /readyz shows whether the adapter works.")
         .retry_after(RENDER_RETRY)
 }
 

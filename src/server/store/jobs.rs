@@ -104,7 +104,7 @@ pub struct JobRow {
 /// The machine requirements of a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
-    /// A hardware GPU, not a software renderer.
+    /// A hardware GPU.
     pub gpu: bool,
     /// Bytes of memory.
     pub memory: u64,

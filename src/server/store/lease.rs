@@ -52,7 +52,7 @@ impl JobKind {
 /// What a machine has that looks for work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
-    /// Whether it has a hardware GPU, not a software renderer.
+    /// Whether it has a hardware GPU.
     pub has_gpu: bool,
     /// Bytes of memory.
     pub memory: u64,

@@ -18,9 +18,9 @@ pub struct About {
     pub host: String,
     /// Version of the program.
     pub version: String,
-    /// Graphics adapter used for training; `null` if there is none.
+    /// Device that trains; `null` if there is none.
     pub adapter: Option<String>,
-    /// Whether the adapter is a GPU rather than a software renderer.
+    /// Whether the adapter is a GPU.
     pub has_gpu: bool,
     /// Number of processor cores.
     pub cores: u32,
