@@ -50,9 +50,9 @@ def build():
     """The program and the tests."""
     cargo = os.environ.get("CARGO", "cargo")
     subprocess.run([cargo, "build", "--release", "--locked", "-p", "fled"], cwd=TOP, check=True)
-    command = [cargo, "test", "--no-run", "--release", "--locked", "--lib", "--message-format=json"]
-    for crate in TESTED:
-        command += ["-p", crate]
+    # As `make test` builds them: with `-p`, crates have other features and are built once more.
+    command = [cargo, "test", "--no-run", "--release", "--locked", "--workspace", "--lib"]
+    command.append("--message-format=json")
     output = subprocess.run(command, cwd=TOP, check=True, stdout=subprocess.PIPE, text=True).stdout
     target = Path(os.environ.get("CARGO_TARGET_DIR", TOP / "target"))
     return target / "release" / "fled", test_executables(output.splitlines(), TESTED)
