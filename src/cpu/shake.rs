@@ -187,15 +187,15 @@ impl Shake {
             for n in 0..out[0].len() / width {
                 let row = band * BAND + n;
                 let sources = kernel.sources(row, 1);
-                for (channel, out) in out.iter_mut().enumerate() {
-                    let out = &mut out[n * width..(n + 1) * width];
-                    let plane = &render[channel * pixels..(channel + 1) * pixels];
-                    let scaled = &scaled[channel * stride * height..][..stride * height];
-                    vectorised!(simd => {
-                        blur_row_back(simd, kernel, &sources, scaled, out);
+                let rows = out.iter_mut().map(|plane| &mut plane[n * width..(n + 1) * width]);
+                let mut rows: Vec<&mut [f32]> = rows.collect();
+                vectorised!(simd => {
+                    blur_row_back(simd, kernel, &sources, scaled, &mut rows);
+                    for (channel, out) in rows.iter_mut().enumerate() {
+                        let plane = &render[channel * pixels..(channel + 1) * pixels];
                         finish_row(plane, (row, width), response, smooth, out);
-                    });
-                }
+                    }
+                });
             }
         });
     }
@@ -277,15 +277,22 @@ fn blur_row_back<S: Simd>(
     kernel: &Kernel,
     sources: &[Source],
     scaled: &[f32],
-    out: &mut [f32],
+    out: &mut [&mut [f32]],
 ) {
-    for (n, out) in out.chunks_mut(LANES).enumerate() {
-        let mut sum = splat(simd, 0.0);
+    let (width, plane) = (kernel.size[0], kernel.stride() * kernel.size[1]);
+    for x in (0..width).step_by(LANES) {
+        let mut sums = [splat(simd, 0.0); 3];
         for source in sources {
-            let weight = kernel.weight(simd, source, n * LANES);
-            sum = weight.mul_add(vector(simd, scaled, source.begin + n * LANES), sum);
+            let weight = kernel.weight(simd, source, x);
+            for (n, sum) in sums.iter_mut().enumerate() {
+                let scaled = vector(simd, scaled, n * plane + source.begin + x);
+                *sum = weight.mul_add(scaled, *sum);
+            }
         }
-        store_some(sum, out);
+        let end = (x + LANES).min(width);
+        for (out, sum) in out.iter_mut().zip(sums) {
+            store_some(sum, &mut out[x..end]);
+        }
     }
 }
 
@@ -304,16 +311,16 @@ fn finish_row(
         *out *= response.light_slope(*value);
     }
     let bent = |d: f32| weight * d / d.mul_add(d, bend * bend).sqrt();
-    for (x, pair) in here.windows(2).enumerate() {
-        let slope = bent(pair[1] - pair[0]);
-        out[x] -= slope;
-        out[x + 1] += slope;
-    }
+    let add = |out: &mut [f32], values: &[f32], others: &[f32]| {
+        for ((out, value), other) in out.iter_mut().zip(values).zip(others) {
+            *out += bent(value - other);
+        }
+    };
+    add(&mut out[1..], &here[1..], here);
+    add(out, here, &here[1..]);
     let others =
         [row.checked_sub(1), Some(row + 1).filter(|&row| (row + 1) * width <= plane.len())];
     for other in others.into_iter().flatten() {
-        for ((out, value), other) in out.iter_mut().zip(here).zip(line(other)) {
-            *out += bent(value - other);
-        }
+        add(out, here, line(other));
     }
 }

@@ -11,8 +11,14 @@ pub struct Response {
     light: [f32; KNOTS],
     /// Light by value and value by light, above each knot but the last.
     slopes: [[f32; 2]; KNOTS],
-    starts: Vec<u8>,
+    starts: [u8; STARTS],
+    /// Most knots within a part: as many steps find the place of every light. A search that ends
+    /// early costs more, since no processor foresees its end.
+    steps: usize,
 }
+
+/// Room for the rounding of a light's part.
+const SLACK: f32 = 1e-6;
 
 /// The place of a value: the knot below, and how far it is beyond, in knots.
 #[inline(always)]
@@ -30,11 +36,18 @@ impl Response {
             let rise = pair[1] - pair[0];
             *slope = [(KNOTS - 1) as f32 * rise, 1.0 / ((KNOTS - 1) as f32 * rise)];
         }
-        let start = |n: usize| {
-            let least = (n as f32 / STARTS as f32).powi(2);
-            light.partition_point(|&l| l <= least).saturating_sub(1).min(KNOTS - 2) as u8
-        };
-        Self { light: *light, slopes, starts: (0..STARTS).map(start).collect() }
+        let last = KNOTS - 2;
+        let knot = |least: f32| light.partition_point(|&l| l <= least).saturating_sub(1).min(last);
+        let edge = |n: usize| (n as f32 / STARTS as f32).powi(2);
+        let first = |n: usize| knot(edge(n) * (1.0 - SLACK));
+        // Light above 1 counts to the last part.
+        let end = |n: usize| if n + 1 == STARTS { last } else { knot(edge(n + 1) * (1.0 + SLACK)) };
+        Self {
+            light: *light,
+            slopes,
+            starts: std::array::from_fn(|n| first(n) as u8),
+            steps: (0..STARTS).map(|n| end(n) - first(n)).max().unwrap_or(0),
+        }
     }
 
     /// Light of a value; negative ones count as 0.
@@ -56,12 +69,9 @@ impl Response {
     pub(super) fn value(&self, light: f32) -> [f32; 2] {
         let part = (light.max(0.0).sqrt() * STARTS as f32) as usize;
         let mut knot = usize::from(self.starts[part.min(STARTS - 1)]);
-        // A part begins at most at its knot, but for rounding.
-        while knot > 0 && self.light[knot] > light {
-            knot -= 1;
-        }
-        while knot < KNOTS - 2 && self.light[knot + 1] <= light {
-            knot += 1;
+        for _ in 0..self.steps {
+            knot += usize::from(self.light[knot + 1] <= light);
+            knot = knot.min(KNOTS - 2);
         }
         let slope = self.slopes[knot][1];
         let below = knot as f32 * (1.0 / (KNOTS - 1) as f32);
