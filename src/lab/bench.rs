@@ -72,8 +72,8 @@ enum Plan {
 }
 
 impl Plan {
-    /// Every case of the options on a device. The costs of noise field, shake and SSIM depend on the pixels, so
-    /// the extras run only with the first number of Gaussians.
+    /// Every case of the options on a device. The costs of noise field, shake and SSIM depend on
+    /// the pixels, so the extras run only with the first number of Gaussians.
     fn all(options: &BenchOptions, device: &Device) -> Vec<Self> {
         let has_kernels = matches!(device, Device::Gpu(_));
         let mut plans = Vec::new();

@@ -5,9 +5,9 @@
 //! processor. They are those of the processor, which gives the same bytes on every x86-64 machine
 //! with AVX2.
 //!
-//! The file also holds the `CODE_VERSION` of the build that made the values. `FLED_BLESS=1` replaces
-//! them only under a new `CODE_VERSION`, since results kept by an earlier build would otherwise
-//! stand beside changed ones. Bless only a build known to be good, and in a separate commit.
+//! The file also holds the `CODE_VERSION` of the build that made the values. `FLED_BLESS=1`
+//! replaces them only under a new `CODE_VERSION`, since results kept by an earlier build would
+//! otherwise stand beside changed ones. Bless only a build known to be good, in a separate commit.
 
 use std::fs;
 use std::path::{Path, PathBuf};

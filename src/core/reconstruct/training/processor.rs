@@ -17,7 +17,7 @@ use crate::noise::{self, Inspection, StateError};
 use crate::reconstruct::densify::Plan;
 use crate::reconstruct::loss::{L1_SHARE, SSIM_SHARE, quantised};
 use crate::reconstruct::optimizer::StepUniform;
-use crate::shake::{SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
+use crate::shake::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
 use crate::splat::processor;
 use crate::splat::rasterize::SplatCounts;
 use crate::splat::rows::GeometryRow;
@@ -59,7 +59,7 @@ impl ProcessorTraining {
         Self {
             scene: ProcessorScene::of(population),
             views: (0..setup.views).map(|_| ProcessorView::default()).collect(),
-            response: setup.shake.map(|response| response.on_processor()),
+            response: setup.shake.map(Response::on_processor),
             sums: SlotSums::default(),
             loss: Loss::default(),
             means: LossMeans::default(),
