@@ -75,7 +75,7 @@ fn the_extras_of_a_training_step_add_their_kernels() {
     assert!(!has(&off, "noise/") && !has(&off, "shake/") && !has(&noise, "shake/"));
     let mut sort = kernels(5);
     sort.sort_unstable();
-    assert_eq!(sort, ["sort/radix_count", "sort/radix_scatter", "sort/scan"]);
+    assert_eq!(sort, ["sort/radix_count", "sort/radix_scan", "sort/radix_scatter"]);
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn synthetic_scenes_are_reproducible_and_like_trained_ones() {
     let case = plan.measure(&bench).expect("measured");
     let (visible, intersections) = (case.visible.unwrap(), case.intersections.unwrap());
     let each = intersections as f64 / visible as f64;
-    assert!((3.0..4.0).contains(&each) && visible > 8_000, "{intersections} of {visible} visible");
+    assert!((2.0..3.0).contains(&each) && visible > 8_000, "{intersections} of {visible} visible");
     let again = || Workload::synthetic(device, (64, 48), 50, 9).expect("made");
     assert_eq!(again().gaussians, again().gaussians);
     let other = Workload::synthetic(device, (64, 48), 50, 10).expect("made");
