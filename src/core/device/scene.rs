@@ -1,4 +1,4 @@
-//! What renders ask of a device.
+//! The rendering interface of a device.
 
 use fled_gpu::GpuError;
 

@@ -1,4 +1,4 @@
-//! What training asks of a device.
+//! The training interface of a device.
 
 mod flight;
 mod gpu;

@@ -42,7 +42,7 @@ pub(super) fn vectors(row: &Row) -> &[Lanes] {
     row.as_flattened()
 }
 
-/// What turns a sum into an element of the product.
+/// Converts a sum to an element of the product.
 #[derive(Clone, Copy)]
 pub(super) enum Gate<'a, const ROWS: usize> {
     /// Negative sums become 0.
@@ -60,7 +60,7 @@ pub(super) struct Product<'a, const ROWS: usize> {
     pub(super) gate: Gate<'a, ROWS>,
 }
 
-/// Whether vectors of sixteen are registers, of which there are 32 then.
+/// Whether a vector of sixteen fits one register, as with AVX-512, which has 32 of them.
 #[inline(always)]
 fn is_wide<S: Simd>() -> bool {
     <S::f32s as SimdBase<S>>::N == LANES
