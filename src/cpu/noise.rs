@@ -57,8 +57,8 @@ impl NoiseField {
         &self.numbers
     }
 
-    /// Writes the render with the noise of a view, of which rows, focal lengths, centre and size
-    /// count. Both images are planar [3, height, width].
+    /// Adds a view's noise to its render. Only the view's rows, focal lengths, centre and size
+    /// matter. Both images are planar [3, height, width].
     ///
     /// # Panics
     /// When the render has another size.
