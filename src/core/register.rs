@@ -26,6 +26,10 @@ const BEND: f32 = 2.0;
 /// Levenberg's damping as a share of the mean curvature: rotation and translation to the left look
 /// alike where the scene is flat, and must not grow to cancel each other.
 const DAMPING: f64 = 1e-3;
+/// Windows of [`detail`] along the longer side, each of twice this share of it.
+const WINDOWS: usize = 32;
+/// Gains between a photograph and its render, beyond which the two do not show the same.
+const GAINS: std::ops::RangeInclusive<f64> = 0.2..=5.0;
 
 /// The motion of a camera in its own axes: a rotation vector (rad), then a shift (world units).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,7 +66,9 @@ pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
 
 /// The motion that aligns `render` with `photograph` to first order, given `probed`, the renders
 /// after each of the camera's [`probes`]. All have one size. Pixels that are not `kept` do not
-/// count. `None` if the images do not determine it.
+/// count, and neither does a difference in exposure or white balance: each channel's gain and
+/// offset are solved for with the motion, or it would be taken for one. `None` if the images do not
+/// determine the motion.
 pub fn correction(
     photograph: &Image,
     render: &Image,
@@ -74,34 +80,39 @@ pub fn correction(
     if width.min(height) <= 4 * BORDER {
         return None;
     }
-    let bend = BEND * middle_difference(photograph, render, kept)?;
+    let [photograph, render] = &[photograph, render].map(detail);
+    let probed = &probed.each_ref().map(detail);
+    let exposure = Exposure::between(render, photograph, kept);
+    let bend = BEND * middle_difference(photograph, render, &exposure, kept)?;
     let mut curvature = [[0.0_f64; 6]; 6];
     let mut slope = [0.0_f64; 6];
     for channel in 0..3 {
+        // The motion, then the channel's gain and offset.
+        let mut all = Normal::<8>::default();
         for y in BORDER..height - BORDER {
             let from = (channel * height + y) * width;
-            let (mut row_curvature, mut row_slope) = ([[0.0_f32; 6]; 6], [0.0_f32; 6]);
+            let mut row = Normal::<8, f32>::default();
             for at in from + BORDER..from + width - BORDER {
                 if kept.is_some_and(|kept| !kept.holds(at - from, y)) {
                     continue;
                 }
                 let now = render.data()[at];
-                let missing = photograph.data()[at] - now;
+                let missing = photograph.data()[at] - exposure.of(channel, now);
                 let weight = if missing.abs() <= bend { 1.0 } else { bend / missing.abs() };
-                let by: [f32; 6] = std::array::from_fn(|i| probed[i].data()[at] - now);
-                for i in 0..6 {
-                    row_slope[i] += weight * by[i] * missing;
-                    for j in 0..=i {
-                        row_curvature[i][j] += weight * by[i] * by[j];
-                    }
-                }
+                let gain = exposure.gain(channel);
+                let by: [f32; 8] = std::array::from_fn(|i| match i {
+                    6 => now,
+                    7 => 1.0,
+                    probe => gain * (probed[probe].data()[at] - now),
+                });
+                row.add(&by, missing, weight);
             }
-            for i in 0..6 {
-                slope[i] += f64::from(row_slope[i]);
-                for j in 0..=i {
-                    curvature[i][j] += f64::from(row_curvature[i][j]);
-                }
-            }
+            all.sum(&row);
+        }
+        let (lower, right) = all.without_last_two();
+        for i in 0..6 {
+            slope[i] += right[i];
+            (0..=i).for_each(|j| curvature[i][j] += lower[i][j]);
         }
     }
     let mean = (0..6).map(|i| curvature[i][i]).sum::<f64>() / 6.0;
@@ -114,24 +125,155 @@ pub fn correction(
     }))
 }
 
-/// The mean absolute difference of two images without the border and pixels that are not `kept`.
-pub fn difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> f64 {
-    let (mut sum, mut count) = (0.0, 0);
-    for (a, b) in rows_within(photograph, kept).zip(rows_within(render, kept)) {
-        sum = a.iter().zip(&*b).fold(sum, |sum, (a, b)| sum + f64::from((a - b).abs()));
-        count += a.len();
+/// The image without what is larger than a window: light that differs from photograph to photograph
+/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge.
+fn detail(image: &Image) -> Image {
+    let (width, height) = (image.width(), image.height());
+    let reach = (width.max(height) / WINDOWS).max(BORDER);
+    let mut detail = image.clone();
+    for channel in 0..3 {
+        let rows = means(image.plane(channel), width, height, reach);
+        let columns = means(&rows, height, width, reach);
+        let values = detail.plane_mut(channel).iter_mut().zip(&columns);
+        values.for_each(|(value, mean)| *value -= mean);
     }
-    sum / count.max(1) as f64
+    detail
+}
+
+/// The mean of the window around each value along its row, transposed.
+fn means(values: &[f32], width: usize, height: usize, reach: usize) -> Vec<f32> {
+    let mut means = vec![0.0; values.len()];
+    let mut sums = vec![0.0_f64; width + 1];
+    for (y, row) in values.chunks_exact(width.max(1)).enumerate() {
+        for (x, value) in row.iter().enumerate() {
+            sums[x + 1] = sums[x] + f64::from(*value);
+        }
+        for x in 0..width {
+            let (from, to) = (x.saturating_sub(reach), (x + reach + 1).min(width));
+            means[x * height + y] = ((sums[to] - sums[from]) / (to - from) as f64) as f32;
+        }
+    }
+    means
+}
+
+/// Normal equations of weighted least squares: the lower half of the matrix, and the right side.
+struct Normal<const N: usize, T = f64> {
+    lower: [[T; N]; N],
+    right: [T; N],
+}
+
+impl<const N: usize, T: Copy + Default> Default for Normal<N, T> {
+    fn default() -> Self {
+        Self { lower: [[T::default(); N]; N], right: [T::default(); N] }
+    }
+}
+
+impl<const N: usize> Normal<N, f32> {
+    fn add(&mut self, by: &[f32; N], missing: f32, weight: f32) {
+        for i in 0..N {
+            self.right[i] += weight * by[i] * missing;
+            for j in 0..=i {
+                self.lower[i][j] += weight * by[i] * by[j];
+            }
+        }
+    }
+}
+
+impl<const N: usize> Normal<N> {
+    fn sum(&mut self, row: &Normal<N, f32>) {
+        for i in 0..N {
+            self.right[i] += f64::from(row.right[i]);
+            for j in 0..=i {
+                self.lower[i][j] += f64::from(row.lower[i][j]);
+            }
+        }
+    }
+
+    /// The equations of the other unknowns after the last two are solved for.
+    fn without_last_two(mut self) -> ([[f64; N]; N], [f64; N]) {
+        for last in (N - 2..N).rev() {
+            let pivot = self.lower[last][last];
+            if pivot <= f64::MIN_POSITIVE {
+                continue;
+            }
+            let row = self.lower[last];
+            for i in 0..last {
+                let share = row[i] / pivot;
+                self.right[i] -= share * self.right[last];
+                (0..=i).for_each(|j| self.lower[i][j] -= share * row[j]);
+            }
+        }
+        (self.lower, self.right)
+    }
+}
+
+/// The gain and offset of each channel from one image to another of the same view, in values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Exposure {
+    channels: [[f32; 2]; 3],
+}
+
+impl Exposure {
+    /// By least squares over the pixels that count.
+    fn between(from: &Image, to: &Image, kept: Option<&Mask>) -> Self {
+        let mut sums = [[0.0_f64; 5]; 3];
+        let height = from.height().max(1);
+        let inside = height.saturating_sub(2 * BORDER).max(1);
+        for (at, (a, b)) in rows_within(from, kept).zip(rows_within(to, kept)).enumerate() {
+            for (&x, &y) in a.iter().zip(&*b) {
+                let (x, y) = (f64::from(x), f64::from(y));
+                let terms = [1.0, x, y, x * x, x * y];
+                sums[(at / inside).min(2)].iter_mut().zip(terms).for_each(|(sum, v)| *sum += v);
+            }
+        }
+        let fit = |[n, x, y, xx, xy]: [f64; 5]| {
+            let spread = n * xx - x * x;
+            let gain = if spread > 1e-9 * n * n { (n * xy - x * y) / spread } else { 1.0 };
+            // Images of different views are as they are.
+            let gain = if GAINS.contains(&gain) { gain } else { 1.0 };
+            [gain as f32, ((y - gain * x) / n.max(1.0)) as f32]
+        };
+        Self { channels: sums.map(fit) }
+    }
+
+    fn gain(&self, channel: usize) -> f32 {
+        self.channels[channel][0]
+    }
+
+    fn of(&self, channel: usize, value: f32) -> f32 {
+        let [gain, offset] = self.channels[channel];
+        gain * value + offset
+    }
+}
+
+/// The mean absolute difference of a photograph and its render in the photograph's exposure,
+/// without the border and pixels that are not `kept`.
+pub fn difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> f64 {
+    let [photograph, render] = &[photograph, render].map(detail);
+    let exposure = Exposure::between(render, photograph, kept);
+    let (mut sum, mut count) = (0.0, 0);
+    differences(photograph, render, &exposure, kept, |difference| {
+        sum += f64::from(difference);
+        count += 1;
+    });
+    sum / f64::from(count.max(1_u32))
 }
 
 /// Standard deviation of the differences, estimated from the median of every seventh; `None` if it
 /// is 0 or not finite.
-fn middle_difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> Option<f32> {
-    let rows = rows_within(photograph, kept).zip(rows_within(render, kept));
-    let apart = |(a, b): (Cow<'_, [f32]>, Cow<'_, [f32]>)| -> Vec<f32> {
-        a.iter().zip(&*b).map(|(a, b)| (a - b).abs()).collect()
-    };
-    let mut some: Vec<f32> = rows.flat_map(apart).step_by(7).collect();
+fn middle_difference(
+    photograph: &Image,
+    render: &Image,
+    exposure: &Exposure,
+    kept: Option<&Mask>,
+) -> Option<f32> {
+    let (mut some, mut at) = (Vec::new(), 0_usize);
+    differences(photograph, render, exposure, kept, |difference| {
+        if at.is_multiple_of(7) {
+            some.push(difference);
+        }
+        at += 1;
+    });
     if some.is_empty() {
         return None;
     }
@@ -139,6 +281,24 @@ fn middle_difference(photograph: &Image, render: &Image, kept: Option<&Mask>) ->
     let (_, median, _) = some.select_nth_unstable_by(middle, f32::total_cmp);
     let deviation = 1.4826 * *median;
     (deviation.is_finite() && deviation > 0.0).then_some(deviation)
+}
+
+/// Tells the absolute difference of every value that counts.
+fn differences(
+    photograph: &Image,
+    render: &Image,
+    exposure: &Exposure,
+    kept: Option<&Mask>,
+    mut tell: impl FnMut(f32),
+) {
+    let inside = photograph.height().saturating_sub(2 * BORDER).max(1);
+    let rows = rows_within(photograph, kept).zip(rows_within(render, kept));
+    for (at, (seen, rendered)) in rows.enumerate() {
+        let channel = (at / inside).min(2);
+        for (seen, rendered) in seen.iter().zip(&*rendered) {
+            tell((seen - exposure.of(channel, *rendered)).abs());
+        }
+    }
 }
 
 /// The rows of all channels within the border, without pixels that are not `kept`.
