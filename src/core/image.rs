@@ -17,6 +17,7 @@ pub use ::image::metadata::Orientation;
 pub(crate) use decode::shares;
 pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};
+pub use exif::Shot;
 #[cfg(test)]
 pub(crate) use exif::tests::block as exif_block;
 pub use hdr::HdrTransfer;

@@ -124,7 +124,7 @@ fn median(mut values: Vec<f32>) -> f32 {
 
 impl Assessed {
     fn accept(&mut self, entry: &Entry, seen: &Seen, name: String, typical_sharpness: f32) {
-        let Header { width, height, focal_px, .. } = seen.header;
+        let Header { width, height, focal_px, shot, .. } = seen.header;
         self.assessments.push(Assessment {
             name: entry.name().to_string(),
             accepted: true,
@@ -144,6 +144,7 @@ impl Assessed {
             width,
             height,
             focal_px,
+            shot,
             gt: None,
             masking: None,
         });

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::image::Shot;
 use crate::mask::Masking;
 use crate::photo_path::PhotoPath;
 
@@ -22,6 +23,8 @@ pub struct CaptureView {
     pub height: usize,
     /// Focal length in px, from EXIF.
     pub focal_px: Option<f64>,
+    /// How it was exposed, from EXIF.
+    pub shot: Option<Shot>,
     /// Its sharp ground truth.
     pub gt: Option<PathBuf>,
     /// Its mask.

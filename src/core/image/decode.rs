@@ -26,7 +26,7 @@ use super::hdr::HdrTransfer;
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
 use super::transfer::{linear_to_srgb, srgb_to_linear};
-use super::{Image, Srgb, exif};
+use super::{Image, Shot, Srgb, exif};
 
 pub use self::error::{ImageError, MAX_FILE_BYTES, MAX_PIXELS};
 
@@ -45,6 +45,8 @@ pub struct Header {
     pub orientation: Orientation,
     /// Focal length in px of the picture as it is, from EXIF.
     pub focal_px: Option<f64>,
+    /// How it was exposed, from EXIF.
+    pub shot: Option<Shot>,
     /// Bytes that the decoded samples take while they are read.
     pub decoded_bytes: u64,
     /// The larger range of brightness that becomes sRGB as it is read.
@@ -214,7 +216,8 @@ impl Opened {
             5..=8 => (height as usize, width as usize),
             _ => (width as usize, height as usize),
         };
-        let focal_px = exif.and_then(|exif| exif::focal_px(&exif, width, height));
+        let focal_px = exif.as_ref().and_then(|exif| exif::focal_px(exif, width, height));
+        let shot = exif.as_ref().and_then(exif::shot);
         Ok(Self {
             decoder,
             orientation,
@@ -223,6 +226,7 @@ impl Opened {
                 height,
                 orientation,
                 focal_px,
+                shot,
                 decoded_bytes,
                 hdr: None,
                 has_alpha,

@@ -69,6 +69,58 @@ fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64>
     Some(millimetres * per_unit / unit_mm * resized)
 }
 
+/// How a photograph was exposed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shot {
+    /// Exposure time, s.
+    pub seconds: f64,
+    /// Sensitivity, ISO.
+    pub iso: f64,
+    /// Aperture; phones often record none, because theirs is fixed.
+    pub f_number: Option<f64>,
+}
+
+impl Shot {
+    /// The exposure, stops above 1 s at ISO 1, and at f/1 if the aperture is part of it.
+    pub fn stops(&self, has_aperture: bool) -> f64 {
+        let aperture = self.f_number.filter(|_| has_aperture).map_or(0.0, |f| 2.0 * f.log2());
+        self.seconds.log2() + self.iso.log2() - aperture
+    }
+}
+
+/// The exposure that the block records: as numbers, or else in APEX units (EXIF 2.32, annex C).
+/// `None` without a time and a sensitivity.
+pub(super) fn shot(exif: &Exif) -> Option<Shot> {
+    let seconds = positive(exif, Tag::ExposureTime)
+        .or_else(|| Some(number(exif, Tag::ShutterSpeedValue)?.exp2().recip()));
+    let iso = [
+        Tag::PhotographicSensitivity,
+        Tag::ISOSpeed,
+        Tag::RecommendedExposureIndex,
+        Tag::StandardOutputSensitivity,
+    ];
+    // 65535 stands in the first tag for a sensitivity that does not fit it.
+    let iso = iso.into_iter().filter_map(|tag| positive(exif, tag)).find(|iso| *iso != 65_535.0);
+    let f_number = positive(exif, Tag::FNumber)
+        .or_else(|| Some((0.5 * number(exif, Tag::ApertureValue)?).exp2()));
+    let plausible = |value: &f64| value.is_finite() && *value > 0.0;
+    Some(Shot {
+        seconds: seconds.filter(plausible)?,
+        iso: iso?,
+        f_number: f_number.filter(plausible),
+    })
+}
+
+/// The first rational of a field, of either sign.
+fn number(exif: &Exif, tag: Tag) -> Option<f64> {
+    let value = match &exif.get_field(tag, In::PRIMARY)?.value {
+        Value::Rational(values) => values.first()?.to_f64(),
+        Value::SRational(values) => values.first()?.to_f64(),
+        _ => return None,
+    };
+    value.is_finite().then_some(value)
+}
+
 fn positive(exif: &Exif, tag: Tag) -> Option<f64> {
     let value = match &exif.get_field(tag, In::PRIMARY)?.value {
         Value::Rational(values) => values.first()?.to_f64(),
@@ -131,6 +183,40 @@ pub(crate) mod tests {
             let exif = read(block(&[(Tag::Orientation, wrong)])).expect("EXIF");
             assert_eq!(orientation(&exif), None);
         }
+    }
+
+    #[test]
+    fn the_exposure_is_read_as_numbers_or_in_apex_units() {
+        let of = |fields: &[(Tag, Value)]| shot(&read(block(fields)).expect("EXIF"));
+        let iso = |iso| Value::Short(vec![iso]);
+        let apex = |num, denom| Value::SRational(vec![exif::SRational { num, denom }]);
+        let written = [
+            (Tag::ExposureTime, rational(1, 16)),
+            (Tag::FNumber, rational(2, 1)),
+            (Tag::PhotographicSensitivity, iso(1600)),
+        ];
+        let wanted = Shot { seconds: 1.0 / 16.0, iso: 1600.0, f_number: Some(2.0) };
+        assert_eq!(of(&written), Some(wanted));
+        let in_apex = [
+            (Tag::ShutterSpeedValue, apex(4, 1)),
+            (Tag::ApertureValue, rational(2, 1)),
+            (Tag::PhotographicSensitivity, iso(1600)),
+        ];
+        assert_eq!(of(&in_apex), Some(wanted));
+        let long =
+            [(Tag::ShutterSpeedValue, apex(-2, 1)), (Tag::PhotographicSensitivity, iso(100))];
+        let found = of(&long).expect("an exposure");
+        assert_eq!((found.seconds, found.f_number), (4.0, None));
+        let high = [
+            (Tag::ExposureTime, rational(1, 2)),
+            (Tag::PhotographicSensitivity, iso(65_535)),
+            (Tag::RecommendedExposureIndex, Value::Long(vec![102_400])),
+        ];
+        assert_eq!(of(&high).map(|shot| shot.iso), Some(102_400.0));
+        assert_eq!(of(&written[..2]), None, "no sensitivity");
+        assert_eq!(of(&[(Tag::ExposureTime, rational(0, 1)), written[2].clone()]), None);
+        assert!((wanted.stops(true) - (1600.0_f64 / 64.0).log2()).abs() < 1e-12);
+        assert!((wanted.stops(false) - 100.0_f64.log2()).abs() < 1e-12);
     }
 
     #[test]

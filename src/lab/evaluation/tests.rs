@@ -81,6 +81,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
             width: SIZE[0],
             height: SIZE[1],
             focal_px: None,
+            shot: None,
             gt: None,
             masking: None,
         };
