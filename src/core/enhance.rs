@@ -16,4 +16,4 @@ mod target;
 pub use anchors::{Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors};
 pub use curve::{BINS, Histogram, ToneCurve};
 pub use matching::{Match, match_anchor, spread_indices};
-pub use target::{Target, resolve_target};
+pub use target::{Target, automatic, resolve_target};

@@ -2,7 +2,8 @@
 //! sharp 3D Gaussian splatting scene.
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
-//! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`].
+//! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`exposure`], [`metrics`] and
+//! [`render`].
 //! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
 //! [`gaussians`], [`event`], [`cancel`], [`plain`] and [`reading`]. The crate knows no HTTP, no
 //! SQL, no async runtime and no environment variables.
@@ -19,6 +20,7 @@ pub mod device;
 pub mod enhance;
 pub mod event;
 pub mod export;
+pub mod exposure;
 pub mod features;
 mod ffmpeg;
 pub mod gaussians;

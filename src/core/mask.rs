@@ -49,6 +49,12 @@ impl Mask {
         Self::new(self.width, self.height, both.collect())
     }
 
+    /// The other pixels.
+    #[must_use]
+    pub fn inverted(&self) -> Self {
+        Self::new(self.width, self.height, self.holds.iter().map(|holds| !holds).collect())
+    }
+
     /// At another size of the same aspect.
     #[must_use]
     pub fn resized(&self, width: usize, height: usize) -> Self {

@@ -15,6 +15,7 @@ mod dependencies;
 mod enhance;
 mod evaluate;
 mod explained;
+mod exposures;
 mod guide;
 mod late_views;
 mod match_brightness;

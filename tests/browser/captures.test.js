@@ -92,7 +92,7 @@ both("what the server says of an option stands at its field, which has the focus
     await button(form, "Run").click();
     await seen(form.getByRole("alert"), "Training steps: enter a whole number from 1 to 200,000.");
     await seen(form.getByRole("alert"), "Random seed: enter a whole number from 0.");
-    await seen(form.getByRole("alert"), "Image size: enter a whole number from 64 to 4,096.");
+    await seen(form.getByRole("alert"), "Image size: enter a whole number from 64 to 4,096, or auto.");
     assert.equal(await form.getByLabel("Image size", { exact: true }).evaluate((node) => node === document.activeElement), true);
     assert.deepEqual(asked, []);
     await picture(page, `page-bad-options-${width}`);
@@ -102,7 +102,7 @@ both("the form of a new job has the options of its preset, and sends those that 
   stand.visit("new-options", "", async (page) => {
     await page.getByText("Options", { exact: true }).click();
     const size = page.getByLabel("Image size", { exact: true });
-    await until("standard", async () => (await size.inputValue()) === "560");
+    await until("standard", async () => (await size.inputValue()) === "auto");
     await part(page, "New job").getByLabel("Preset").selectOption("preview");
     assert.equal(await size.inputValue(), "280");
     await page.getByLabel("Rounds", { exact: true }).fill("3");

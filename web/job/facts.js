@@ -27,6 +27,7 @@ export function factList(report) {
   const list = pairs({
     "Photographs placed": placed,
     Shake: shake(report),
+    Exposure: exposure(report.exposure),
     "Set by the shake": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
     "Trained on": report.adapter,
     // Each photograph's place has a table of its own.
@@ -42,11 +43,25 @@ function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
   const ways = {
     still: ", so the run uses plain splatting",
+    // Reports of earlier versions.
     soft: ", and most are slightly soft, so the scene is trained on the views that the network deblurred",
-    shaken: ", so blur kernels model their shake",
+    shaken: ", so blur kernels model the shake of each view that shows one",
   };
   return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
 }
+
+/** How differently the photographs are exposed, and what was done about it; each view's own is below it. */
+function exposure(found) {
+  if (!found) return null;
+  const [least, most] = found.spread_stops.map(stops);
+  const views = Object.entries(found.views).map(([name, { stops: light, tint, seconds, iso }]) => {
+    const taken = seconds && iso ? `; ${seconds < 1 ? `1/${Math.round(1 / seconds)}` : seconds} s, ISO ${iso}` : "";
+    return [name, `${stops(light)} stops, red ${stops(tint[0])}, blue ${stops(tint[1])}${taken}`];
+  });
+  return { "In all": `${least} to ${most} stops; ${found.verdict}`, ...Object.fromEntries(views) };
+}
+
+const stops = (value) => `${value < 0 ? "\u2212" : "+"}${Math.abs(value).toFixed(2)}`;
 
 function without(values, name) {
   const rest = Object.entries(values).filter(([key]) => key !== name);

@@ -144,6 +144,10 @@ function field(form, key, property) {
   const id = `${form}-${key}`;
   const words = choices(property);
   const number = ["integer", "number"].includes(property.type);
+  // A number within bounds, or a word.
+  const orWord = property.anyOf?.find((one) => one.type === "integer" && one.maximum !== undefined);
+  const word = orWord && property.anyOf.find((one) => one.const !== undefined)?.const;
+  const bounds = orWord ?? property;
   const about = { id, "aria-describedby": `${id}-about ${id}-fault` };
   let input;
   if (property.type === "boolean") input = h("input", { type: "checkbox", ...about });
@@ -153,8 +157,8 @@ function field(form, key, property) {
     input = h("input", { type: "number", step, min: property.minimum ?? "", max: property.maximum ?? "", ...about });
   } else input = h("input", { type: "text", spellcheck: false, autocomplete: "off", ...about });
   const problem = h("p", { class: "problem", id: `${id}-fault`, role: "alert" });
-  const [least, most] = [property.minimum ?? 0, property.maximum ?? Number.MAX_SAFE_INTEGER].map((value) => value.toLocaleString("en"));
-  const range = number && property.maximum !== undefined ? ` (${least} to ${most})` : "";
+  const [least, most] = [bounds.minimum ?? 0, bounds.maximum ?? Number.MAX_SAFE_INTEGER].map((value) => value.toLocaleString("en"));
+  const range = (number || orWord) && bounds.maximum !== undefined ? ` (${least} to ${most})` : "";
   const meaning = h("span", { class: "meaning" });
   const description = h("p", { class: "hint", id: `${id}-about` }, h("code", {}, key), ": ", prose((property.description ?? "") + range), meaning);
   const root = h("div", { class: "option" }, h("label", { htmlFor: id }, optionName(key)), input, description, problem);
@@ -165,17 +169,18 @@ function field(form, key, property) {
     const text = input.value.trim();
     // An empty field is the preset's value; what is no number goes as it is, and the server says so.
     if (text === "") return usual;
-    return number && Number.isFinite(Number(text)) ? Number(text) : text;
+    return (number || orWord) && Number.isFinite(Number(text)) ? Number(text) : text;
   }
   /** Its fault by the schema, in a sentence. */
   function wrong() {
-    if (!number || (input.value.trim() === "" && !input.validity.badInput)) return "";
+    if (!(number || orWord) || (input.value.trim() === "" && !input.validity.badInput)) return "";
+    if (word && input.value.trim() === word) return "";
     const now = Number(input.value);
-    const isWhole = property.type !== "integer" || Number.isSafeInteger(now);
-    const isWithin = now >= (property.minimum ?? 0) && now <= (property.maximum ?? Infinity);
+    const isWhole = bounds.type !== "integer" || Number.isSafeInteger(now);
+    const isWithin = now >= (bounds.minimum ?? 0) && now <= (bounds.maximum ?? Infinity);
     if (!input.validity.badInput && isWhole && isWithin) return "";
-    const kind = property.type === "integer" ? "a whole number" : "a number";
-    return `${optionName(key)}: enter ${kind} ${property.maximum === undefined ? `from ${least}` : `from ${least} to ${most}`}.`;
+    const kind = bounds.type === "integer" ? "a whole number" : "a number";
+    return `${optionName(key)}: enter ${kind} ${bounds.maximum === undefined ? `from ${least}` : `from ${least} to ${most}`}${word ? `, or ${word}` : ""}.`;
   }
   const differs = () => value() !== usual;
   function mark() {

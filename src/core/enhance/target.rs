@@ -68,7 +68,7 @@ impl FromStr for Target {
 /// The exposure at which a hundredth of the pixels reaches white, limited so that the mean of V
 /// stays in [`MEAN_V`]: lamps in a dark street may clip, and scenes without highlights are not
 /// over-brightened. Leaves brighter photographs alone.
-fn automatic(dark: &Histogram) -> Anchor {
+pub fn automatic(dark: &Histogram) -> Anchor {
     let exposed = |ev: f64| {
         let curve = ToneCurve::new(dark, Anchor::exposure(ev));
         dark.mean_through(&curve)

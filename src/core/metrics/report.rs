@@ -200,12 +200,72 @@ pub enum CaptureShake {
     /// Still: the run is plain splatting with one round of all steps, uncorrected cameras, and a
     /// kernel for the few shaken views. Another round follows only if late views change the poses.
     Still,
-    /// The views are slightly softer than the scene, which trains on deblurred views without
-    /// kernels.
-    Soft,
-    /// Shaken: from the second round on, a kernel explains the shake of each view with a
-    /// significant one.
+    /// Shaken, at least in part: from the second round on, a kernel explains the shake of each view
+    /// with a significant one. Earlier versions had a third verdict, `soft`.
+    #[serde(alias = "soft")]
     Shaken,
+}
+
+/// The exposures of a capture's photographs, found before the rounds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct CaptureExposure {
+    /// The share of the solved exposures by which the photographs were evened; 0 leaves them as
+    /// taken.
+    pub share: f64,
+    /// What was done, and why.
+    pub verdict: String,
+    /// Least and largest exposure of a training view, stops relative to their mean.
+    pub spread_stops: [f64; 2],
+    /// What the exposures leave of the ratios of light between pairs of views, stops. Near 0 where
+    /// one exposure a view explains them; `None` without pairs.
+    pub residual_stops: Option<f64>,
+    /// Ordered pairs of views that show enough common surface.
+    pub pairs: u32,
+    /// Solved stops for each stop that EXIF records; absent where the two have too little to do
+    /// with each other.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exif_slope: Option<f64>,
+    /// Root mean square error of coarse scenes on pixels that were left out, 0..=1: of the
+    /// photographs as taken, and evened. Absent where the second was not tried.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_out_error: Option<[f64; 2]>,
+    /// The solved exposure of each view, by name.
+    pub views: BTreeMap<String, ViewExposure>,
+}
+
+impl CaptureExposure {
+    /// One sentence, with figures.
+    pub fn in_words(&self) -> String {
+        let Self { verdict, pairs, .. } = self;
+        let [least, most] = self.spread_stops;
+        let share = match self.share {
+            share if share > 0.0 && share < 1.0 => format!(" by {:.0} %", 100.0 * share),
+            _ => String::new(),
+        };
+        let residual = match self.residual_stops {
+            Some(residual) => format!(", {pairs} pairs agree to {residual:.2} stops"),
+            None => String::new(),
+        };
+        format!("{least:+.2} to {most:+.2} stops{residual}; {verdict}{share}")
+    }
+}
+
+/// The exposure of one photograph.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ViewExposure {
+    /// Light relative to the mean of the training views, stops.
+    pub stops: f64,
+    /// Light of red and of blue relative to green, stops, relative to the mean likewise.
+    pub tint: [f64; 2],
+    /// Exposure time that EXIF records, s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seconds: Option<f64>,
+    /// Sensitivity that EXIF records.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iso: Option<f64>,
+    /// Aperture that EXIF records.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub f_number: Option<f64>,
 }
 
 /// The content of `metrics.json`.
@@ -226,6 +286,9 @@ pub struct Report {
     /// The verdict on the capture as a whole, which determines the rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capture_shake: Option<CaptureShake>,
+    /// The exposures of the photographs. Absent where the options leave them as taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub exposure: Option<CaptureExposure>,
     /// The options that the verdict on shake changed, with their values in effect.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_effect: BTreeMap<String, serde_json::Value>,

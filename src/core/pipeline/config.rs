@@ -1,5 +1,6 @@
 //! The options of a run: flat keys, the same in `--set`, in a job's JSON and in `config.json`.
 
+mod setting;
 mod shake;
 
 use std::fmt;
@@ -12,6 +13,7 @@ use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
 use crate::reading::read;
 pub use crate::reconstruct::{Background, Densify, Pace};
+pub use setting::Setting;
 pub use shake::{ShakeModel, TrainOn};
 
 /// Configuration of a run. Defaults are those of the `standard` preset.
@@ -24,13 +26,15 @@ pub struct Options {
     /// Optimiser steps per round.
     #[schemars(range(min = 1, max = 200_000))]
     pub steps: u32,
-    /// Longest side of the working images, px; never above the original. At most 560 if the capture
-    /// is found shaken, 420 if strongly.
-    #[schemars(range(min = 64, max = 4096))]
-    pub size: u32,
+    /// Longest side of the working images, px; never above the original. `auto` is 560, or 420 if
+    /// the capture is found strongly shaken.
+    #[schemars(schema_with = "setting::schema::<64, 4096>")]
+    pub size: Setting,
     /// Target brightness: `auto`, stops such as `+3.5EV`, or one of the paper's curves:
     /// `auto-paper`, `alpha,gamma` or the name of a LuSh scene.
     pub target: String,
+    /// Whether photographs of different exposure and white balance are evened.
+    pub exposure: Exposure,
     /// One tone table for the scene or one per view.
     pub lut_scope: LutScope,
     /// Deblurring network: `default`, `small-u2w16`, `identity`, the name of an ONNX file in the
@@ -62,9 +66,10 @@ pub struct Options {
     pub schedule: Pace,
     /// How Gaussians are added and removed.
     pub densify: Densify,
-    /// Maximum number of Gaussians.
-    #[schemars(range(min = 100, max = 5_000_000))]
-    pub cap: u32,
+    /// Maximum number of Gaussians. `auto` is 30,000, or as many a pixel where the working images
+    /// are smaller because of shake.
+    #[schemars(schema_with = "setting::schema::<100, 5_000_000>")]
+    pub cap: Setting,
     /// Degree of the spherical harmonics.
     #[schemars(range(min = 0, max = 3))]
     pub sh_degree: u32,
@@ -104,6 +109,17 @@ fn held_out<'de, D: serde::Deserializer<'de>>(value: D) -> Result<String, D::Err
         HeldOut::Every(nth) => nth.to_string(),
         HeldOut::Words(words) => words,
     })
+}
+
+/// What is done about the exposure and white balance of each photograph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Exposure {
+    /// Where the surfaces that photographs share agree on one gain a photograph and channel, all
+    /// are brought to their mean.
+    Auto,
+    /// Nothing, as in the paper.
+    AsTaken,
 }
 
 /// The scope of a tone table.
@@ -185,6 +201,10 @@ pub enum Preset {
     Paper,
 }
 
+/// What `auto` stands for.
+const USUAL_SIDE: u32 = 560;
+const USUAL_CAP: u32 = 30_000;
+
 impl Preset {
     pub const ALL: [Self; 3] = [Self::Preview, Self::Standard, Self::Paper];
 
@@ -201,8 +221,9 @@ impl Preset {
         let standard = Options {
             rounds: 2,
             steps: 1_000,
-            size: 560,
+            size: Setting::Auto,
             target: "auto".to_owned(),
+            exposure: Exposure::Auto,
             lut_scope: LutScope::Scene,
             deblur: NetworkChoice::Default,
             enhance: NetworkChoice::Curve,
@@ -215,7 +236,7 @@ impl Preset {
             start: Start::Warm,
             schedule: Pace::Adapted,
             densify: Densify::Mcmc,
-            cap: 30_000,
+            cap: Setting::Auto,
             sh_degree: 2,
             background: Background::Random,
             held_out: "auto".to_owned(),
@@ -226,7 +247,9 @@ impl Preset {
             adapter: "auto".to_owned(),
         };
         match self {
-            Self::Preview => Options { size: 280, cap: 10_000, ..standard },
+            Self::Preview => {
+                Options { size: Setting::Given(280), cap: Setting::Given(10_000), ..standard }
+            }
             Self::Standard => standard,
             Self::Paper => paper(standard),
         }
@@ -242,9 +265,10 @@ fn paper(standard: Options) -> Options {
         // The paper does not say: whether 10,000 iterations are those of a round or of the run. Its
         // times grow by as much with each round.
         steps: 10_000,
-        size: 1120,
+        size: Setting::Given(1120),
         // The paper does not say: how P_N is found.
         target: "auto-paper".to_owned(),
+        exposure: Exposure::AsTaken,
         lut_scope: LutScope::Image,
         guide: Guide::Raw,
         noise: NoiseMode::Paper,
@@ -259,7 +283,7 @@ fn paper(standard: Options) -> Options {
         densify: Densify::Classic,
         // Differs from the paper: 3DGS has no cap, but memory ends. The paper's 12.17 million
         // parameters are 205,000 Gaussians beside its noise network.
-        cap: 200_000,
+        cap: Setting::Given(200_000),
         sh_degree: 3,
         background: Background::Black,
         key_points: KeyPoints::Colmap,
@@ -278,6 +302,16 @@ impl Options {
             TrainOn::Deblurred => false,
             TrainOn::Enhanced => true,
         }
+    }
+
+    /// Longest side of the working images before a verdict on the shake, px.
+    pub fn longest_side(&self) -> u32 {
+        self.size.or(USUAL_SIDE)
+    }
+
+    /// Largest number of Gaussians before a verdict on the shake.
+    pub fn most_gaussians(&self) -> u32 {
+        self.cap.or(USUAL_CAP)
     }
 
     /// Whether the run needs no network: no view trains as deblurred, and no kernel depends on the
@@ -426,14 +460,14 @@ impl Options {
     fn check(&self) -> Result<(), OptionsError> {
         within("rounds", self.rounds, 1, 8)?;
         within("steps", self.steps, 1, 200_000)?;
-        within("size", self.size, 64, 4096)?;
+        within("size", self.longest_side(), 64, 4096)?;
         self.networks().iter().try_for_each(NetworkOption::check)?;
         if self.enhance != NetworkChoice::Curve && self.target != "auto" {
             let message =
                 "a network that brightens decides the brightness; leave `target` at `auto`";
             return Err(fault("target", &message));
         }
-        within("cap", self.cap, 100, 5_000_000)?;
+        within("cap", self.most_gaussians(), 100, 5_000_000)?;
         within("sh_degree", self.sh_degree, 0, 3)
     }
 }

@@ -157,7 +157,7 @@ pub fn stamp_name(stage: Stage, round: u32) -> String {
 mod tests {
     use super::*;
     use crate::event::Silent;
-    use crate::pipeline::config::Options;
+    use crate::pipeline::config::{Options, Setting};
 
     /// Asks for a stage's value as a run would, and counts how often it was made.
     fn ask(workspace: &Workspace, options: &Options, kept: bool, made: &mut u32) -> u32 {
@@ -172,7 +172,7 @@ mod tests {
             |workspace| workspace.read_json(&file).filter(|_| kept),
             |context| {
                 *made += 1;
-                let value = depends_on.options().cap;
+                let value = depends_on.options().most_gaussians();
                 context.workspace.write_json(&file, &value)?;
                 Ok(value)
             },
@@ -185,14 +185,15 @@ mod tests {
         let folder = tempfile::tempdir().expect("temporary folder");
         let workspace = Workspace::open(folder.path()).expect("open");
         let (small, mut made) = (Options::default(), 0);
-        let large = Options { cap: 2 * small.cap, ..small.clone() };
+        let large = Options { cap: Setting::Given(777), ..small.clone() };
         let slower = Options { steps: 2 * small.steps, ..small.clone() };
-        assert_eq!(ask(&workspace, &small, true, &mut made), small.cap);
-        assert_eq!(ask(&workspace, &slower, true, &mut made), small.cap);
+        let (few, many) = (small.most_gaussians(), large.most_gaussians());
+        assert_eq!(ask(&workspace, &small, true, &mut made), few);
+        assert_eq!(ask(&workspace, &slower, true, &mut made), few);
         assert_eq!(made, 1, "the number of steps is none of its options");
-        assert_eq!(ask(&workspace, &large, true, &mut made), large.cap);
+        assert_eq!(ask(&workspace, &large, true, &mut made), many);
         assert_eq!(made, 2);
-        assert_eq!(ask(&workspace, &large, false, &mut made), large.cap);
+        assert_eq!(ask(&workspace, &large, false, &mut made), many);
         assert_eq!(made, 3, "what cannot be read is made anew");
     }
 

@@ -17,8 +17,8 @@ use crate::poses::Poses;
 const POSES: &[&str] = &["pose_source", "seed"];
 /// Structure from motion repeated on brightened and deblurred photographs.
 const POSES_OF_DEBLURRED: &[&str] = &["target", "lut_scope"];
-/// The registered photographs at working size.
-const VIEWS: &[&str] = &["size"];
+/// The registered photographs at working size, evened.
+const VIEWS: &[&str] = &["size", "exposure"];
 /// The tone curves of all rounds. The seed serves the search for the curve nearest to a network.
 const ENHANCE: &[&str] = &["rounds", "target", "lut_scope", "seed"];
 /// Deblurring with a guide.
@@ -130,7 +130,7 @@ impl RunDependencies {
         networks: Networks,
         adapter: String,
     ) -> Self {
-        let views = Dependencies::on(options, VIEWS, &[capture, &json(poses)]);
+        let views = Dependencies::on(options, VIEWS, &[capture, &json(poses), &adapter]);
         let brightener = networks.enhance.as_ref().map(of_network);
         let facts = [views.fingerprint(), &brightener.unwrap_or_default()];
         let enhance = Dependencies::on(options, ENHANCE, &facts);

@@ -164,14 +164,14 @@ mod tests {
     #[test]
     fn a_few_shaken_views_have_kernels_then_those_that_renders_show() {
         let options = Options::default();
-        let views = ["a", "b", "c"].map(view);
+        let views = ["a", "b", "c", "d", "e"].map(view);
         let told = |names: &[&str]| {
             let ratio = |view: &View| f64::from(u8::from(names.contains(&&view.name[..])));
             Shaken::of(views.iter().map(|view| (&view.name[..], ratio(view))))
         };
         let first = |names: &[&str]| explained(&options, &views, Some(&told(names)), None);
-        assert_eq!(first(&["b"]), [false, true, false]);
-        assert_eq!(first(&["a", "b"]), [false; 3], "no sharp scene to find them in");
+        assert_eq!(first(&["b"]), [false, true, false, false, false]);
+        assert_eq!(first(&["a", "b"]), [false; 5], "no sharp scene to find them in");
         let score = |name: &str, is_shaken| ViewScore {
             name: name.to_owned(),
             registered: true,
@@ -186,7 +186,7 @@ mod tests {
         };
         let before = [score("c", true), score("a", false)];
         let later = explained(&options, &views, Some(&told(&["b"])), Some(&before));
-        assert_eq!(later, [false, false, true]);
+        assert_eq!(later, [false, false, true, false, false]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! V_i: training from a checkpoint, the previous scene, or the sparse points.
 
 mod checkpoint;
-mod points;
+pub mod points;
 mod watch;
 
 use std::cell::RefCell;
@@ -164,7 +164,7 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     };
     TrainConfig {
         steps: options.steps,
-        cap: options.cap as usize,
+        cap: options.most_gaussians() as usize,
         sh_degree: options.sh_degree,
         noise: options.noise,
         shake: shaken.then(|| round.response.clone()),
@@ -201,7 +201,10 @@ fn train_start(
         return Ok(TrainStart::Fresh(gaussians));
     }
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
-    let points = points::coloured(material.poses, material.views, material.images);
+    let pictures = material.views.iter().zip(material.images);
+    let training = pictures.filter(|(view, _)| view.split == Split::Train);
+    let seen = training.map(|(view, image)| (&view.camera, image, view.mask.as_ref()));
+    let points = points::coloured(material.poses, seen);
     let (cap, schedule) = (config.cap, config.schedule());
     let first = reconstruct::initialise(&points, &cameras, cap, &schedule);
     Ok(TrainStart::Fresh(first))

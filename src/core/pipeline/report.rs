@@ -28,6 +28,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         views: poses.total as u32,
         shaken_views: None,
         capture_shake: None,
+        exposure: None,
         in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
         adapter: tools.device.to_string(),

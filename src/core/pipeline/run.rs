@@ -9,6 +9,7 @@ use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
 use super::explained::{self, explained, trained_on, training_images};
+use super::exposures;
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::{By, History, Plan, Teller};
@@ -93,7 +94,11 @@ pub fn run(
     }
     publish(workspace, &poses)?;
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
-    let views = views::load(context, capture, &poses, options)?;
+    let mut views = views::load(context, capture, &poses, options)?;
+    let (exposures, found) =
+        exposures::find(context, tools.device, options, capture, &poses, &views)?;
+    report.exposure = found;
+    exposures.even(&mut views);
     let shaken = None;
     let asked = Asked { capture, options, shaken };
     let mut state = RoundState::new(context, asked, tools, poses, views)?;
@@ -102,7 +107,7 @@ pub fn run(
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
-    let size = shaken.as_ref().map_or(options.size, |shaken| shaken.size(options));
+    let size = shaken.as_ref().map_or(options.longest_side(), |shaken| shaken.size(options));
     let in_effect = shaken::in_effect(options, report.capture_shake, size);
     report::change(&mut report, options, &in_effect);
     let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
@@ -111,11 +116,12 @@ pub fn run(
         rounds,
         views: state.views.len() as u32,
         shake: report.capture_shake,
-        size: Some(in_effect.size),
+        size: Some(in_effect.longest_side()),
     });
-    let is_smaller = in_effect.size < options.size;
+    let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
         state.views = views::load(context, capture, &state.poses, &in_effect)?;
+        exposures.even(&mut state.views);
     }
     if asked.is_still() || is_smaller {
         state = RoundState::new(context, asked, tools, state.poses, state.views)?;
@@ -240,7 +246,7 @@ fn round(
         rounds: asked.options.rounds,
         views: views.len() as u32,
         shake: report.capture_shake,
-        size: Some(asked.options.size),
+        size: Some(asked.options.longest_side()),
     });
     *state = RoundState::new(context, asked, tools, poses, views)?;
     state.hand_over(context, tools, turn.index, scene, on)
@@ -263,7 +269,7 @@ fn join(
     let Some(poses) = late_views(context, tools, finished, &on)? else {
         return Ok(None);
     };
-    let size = asked.options.size as usize;
+    let size = asked.options.longest_side() as usize;
     let views = changed_views(context, finished, &poses, size)?;
     Ok(Some((poses, views)))
 }
@@ -356,7 +362,8 @@ fn teller<'a>(
     sink: &'a mut dyn ProgressSink,
 ) -> Teller<'a> {
     let pixels = |view: &CaptureView| {
-        let (width, height) = views::working_size(view.width, view.height, options.size as usize);
+        let (width, height) =
+            views::working_size(view.width, view.height, options.longest_side() as usize);
         width * height
     };
     let pixels = capture.views.iter().map(pixels).sum();

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::config::{Options, ShakeModel, TrainOn};
+use super::config::{Options, Setting, ShakeModel, TrainOn};
 use super::context::Context;
 use super::dependencies::RunDependencies;
 use super::enhance::Brightening;
@@ -25,21 +25,19 @@ use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response};
 
-/// The median significance from which the network compensates for a shake that is too small for
-/// kernels.
+/// The median significance from which a capture is shaken: most views have some shake, and more of
+/// them than the network can tell from noise are shown to be shaken by the first round's renders.
 const SOFT_FROM: f64 = 0.57;
-/// Longest side of the working images of a shaken capture, px: better than 420 px under weak shake.
-/// Larger ones were not compared.
-const SHAKEN_SIDE: u32 = 560;
-/// The same of a strongly shaken one. Shake leaves no detail for larger images, but each of their
-/// pixels is as noisy: scenes of 560 px are worse at any size (docs/decisions/shake.md).
+/// The share of significantly shaken views from which it is, whatever the others are.
+const SHAKEN_SHARE: f64 = 0.25;
+/// Longest side of the working images of a strongly shaken capture, px. Shake leaves no detail for
+/// larger images, but each of their pixels is as noisy: scenes of 560 px are worse at any size
+/// (docs/decisions/shake.md).
 const STRONG_SIDE: u32 = 420;
 /// The median significance in images of [`STRONG_SIDE`] from which a shake is strong.
 const STRONG_FROM: f64 = 1.25;
 /// Most views that tell whether a shake is strong.
 const MOST_ASKED: usize = 12;
-/// The share of shaken views from which kernels pay off.
-pub const SHAKEN_SHARE: f64 = 0.6;
 
 /// For each view, the significance of the kernel from its deblurred image back to it.
 fn significances(
@@ -91,13 +89,9 @@ impl Shaken {
         let told = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
         let told: BTreeSet<_> = told.map(|(name, _)| (*name).to_owned()).collect();
         let middle = middle(views.iter().map(|(_, ratio)| *ratio).collect());
-        let verdict = if told.len() as f64 >= SHAKEN_SHARE * views.len() as f64 {
-            CaptureShake::Shaken
-        } else if middle >= SOFT_FROM {
-            CaptureShake::Soft
-        } else {
-            CaptureShake::Still
-        };
+        let is_shaken =
+            told.len() as f64 >= SHAKEN_SHARE * views.len() as f64 || middle >= SOFT_FROM;
+        let verdict = if is_shaken { CaptureShake::Shaken } else { CaptureShake::Still };
         Self { told, verdict, is_strong: false, longest: u32::MAX }
     }
 
@@ -114,10 +108,11 @@ impl Shaken {
         self.verdict
     }
 
-    /// Longest side of the working images if the capture is shaken, px.
+    /// Longest side of the working images, px.
     pub fn size(&self, options: &Options) -> u32 {
-        let most = if self.is_strong { STRONG_SIDE } else { SHAKEN_SIDE };
-        if self.longest <= most { options.size } else { options.size.min(most) }
+        let size = options.longest_side();
+        let chooses = self.is_strong && options.size == Setting::Auto;
+        if chooses && self.longest > STRONG_SIDE { size.min(STRONG_SIDE) } else { size }
     }
 }
 
@@ -167,11 +162,9 @@ pub fn shaken(
     let told = format!("{} of {} views are shaken", shaken.count(), views.len());
     let done = match shaken.verdict() {
         CaptureShake::Still => "one round of plain splatting, cameras as found".to_owned(),
-        CaptureShake::Soft => {
-            "trained on the views that the network deblurred, without kernels".to_owned()
-        }
         CaptureShake::Shaken => format!(
-            "blur kernels model their shake from the second round on, in images of {} px",
+            "from the second round on, blur kernels model the shake of views whose renders show \
+             one, in images of {} px",
             shaken.size(options)
         ),
     };
@@ -201,12 +194,12 @@ fn is_strong(
     Ok(middle(significances) >= STRONG_FROM)
 }
 
-/// The options in effect for the rounds, of which a shaken capture has working images of `size`.
+/// The options in effect for the rounds, whose working images have `size`.
 ///
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
 /// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
-/// (docs/decisions/cameras.md). The images of a shaken capture are smaller, with as many Gaussians
-/// a pixel.
+/// (docs/decisions/cameras.md). Where the options leave it open, the images of a strongly shaken
+/// capture are smaller, with as many Gaussians a pixel.
 pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
     let mut options = options.clone();
     match verdict {
@@ -214,11 +207,15 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) ->
             options.refine_poses = false;
             options.steps = options.steps.saturating_mul(options.rounds);
         }
-        Some(CaptureShake::Soft) => options.shake = ShakeModel::Off,
         Some(CaptureShake::Shaken) => {
-            let area = (f64::from(size) / f64::from(options.size)).powi(2);
-            options.cap = (f64::from(options.cap) * area).round() as u32;
-            options.size = size;
+            let area = (f64::from(size) / f64::from(options.longest_side())).powi(2);
+            if size != options.longest_side() && options.cap == Setting::Auto {
+                let cap = (f64::from(options.most_gaussians()) * area).round();
+                options.cap = Setting::Given(cap as u32);
+            }
+            if size != options.longest_side() {
+                options.size = Setting::Given(size);
+            }
         }
         None => {}
     }
@@ -252,12 +249,12 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_need_three_fifths_shaken_or_a_soft_median() {
+    fn a_quarter_of_shaken_views_or_a_soft_median_make_a_capture_shaken() {
         assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
-        assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
-        assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Soft);
-        assert_eq!(of(&[0.5, 0.4, 1.5]).verdict(), CaptureShake::Still);
-        assert_eq!(of(&[0.5, 0.4, 1.5]).count(), 1);
+        assert_eq!(of(&[0.1, 0.1, 0.1, 1.2]).verdict(), CaptureShake::Shaken);
+        assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Shaken);
+        assert_eq!(of(&[0.5, 0.4, 0.3, 0.2, 1.5]).verdict(), CaptureShake::Still);
+        assert_eq!(of(&[0.5, 0.4, 0.3, 0.2, 1.5]).count(), 1);
     }
 
     #[test]
@@ -266,25 +263,27 @@ mod tests {
         let still = in_effect(&options, Some(CaptureShake::Still), 560);
         assert!(!still.refine_poses);
         assert_eq!(still.steps, options.steps * options.rounds);
-        let soft = in_effect(&options, Some(CaptureShake::Soft), 560);
-        assert_eq!(soft.shake, ShakeModel::Off);
-        let shaken = in_effect(&options, Some(CaptureShake::Shaken), 420);
-        assert_eq!(shaken, Options { size: 420, cap: 16_875, ..options.clone() });
+        let small =
+            Options { size: Setting::Given(420), cap: Setting::Given(16_875), ..options.clone() };
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 420), small);
         assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 560), options);
         assert_eq!(in_effect(&options, None, 560), options);
     }
 
     #[test]
-    fn strong_shake_makes_smaller_images_than_weak() {
+    fn only_a_size_left_open_shrinks_with_strong_shake() {
         let sizes = |is_strong| {
             let shaken = Shaken { is_strong, ..of(&[1.5]) };
-            [280, 560, 1120].map(|size| shaken.size(&Options { size, ..Options::default() }))
+            [Setting::Given(280), Setting::Auto, Setting::Given(1120)]
+                .map(|size| shaken.size(&Options { size, ..Options::default() }))
         };
-        assert_eq!(sizes(false), [280, 560, 560]);
-        assert_eq!(sizes(true), [280, 420, 420]);
-        let small = Shaken { longest: 500, ..of(&[1.5]) };
-        let options = Options { size: 1120, ..Options::default() };
-        assert_eq!(small.size(&options), 1120, "its images stay as they are, and their Gaussians");
+        assert_eq!(sizes(false), [280, 560, 1120]);
+        assert_eq!(sizes(true), [280, 420, 1120]);
+        let small = Shaken { longest: 400, is_strong: true, ..of(&[1.5]) };
+        assert_eq!(small.size(&Options::default()), 560, "its images stay as they are");
+        let options = Options { cap: Setting::Given(50_000), ..Options::default() };
+        let effect = in_effect(&options, Some(CaptureShake::Shaken), 420);
+        assert_eq!(effect.cap, options.cap, "a number that was set stays");
     }
 
     #[test]

@@ -176,7 +176,7 @@ fn read(
                     );
                     OptionsError { key: "pose_source".to_owned(), message }
                 })?;
-            view(photograph, posed, split, options.size as usize)
+            view(photograph, posed, split, options.longest_side() as usize)
         })
         .collect()
 }

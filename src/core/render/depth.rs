@@ -73,6 +73,11 @@ impl Depth {
         self.values[y * self.width + x]
     }
 
+    /// All depths, row by row; `None` where too little light is stopped.
+    pub fn values(&self) -> &[Option<f32>] {
+        &self.values
+    }
+
     /// A picture for people: grey by inverse depth, near white and far dark, black without a depth.
     pub fn picture(&self) -> Image {
         let near = |depth: f32| 1.0 / depth.max(f32::MIN_POSITIVE);

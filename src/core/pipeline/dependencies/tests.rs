@@ -1,14 +1,15 @@
 use serde_json::json;
 
 use super::*;
-use crate::pipeline::config::{ShakeModel, TrainOn};
+use crate::pipeline::config::{Setting, ShakeModel, TrainOn};
 
 /// The results that each option invalidates, in the order of Algorithm 1. Options without any act
 /// through the tools that they choose.
-const STALE: [(&str, &[&str]); 25] = [
+const STALE: [(&str, &[&str]); 26] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     ("size", &["views", "enhance", "deblur", "reconstruct", "guided"]),
+    ("exposure", &["views", "enhance", "deblur", "reconstruct", "guided"]),
     ("target", &["enhance", "deblur", "reconstruct", "guided"]),
     ("lut_scope", &["enhance", "deblur", "reconstruct", "guided"]),
     ("deblur", &[]),
@@ -37,6 +38,7 @@ const STALE: [(&str, &[&str]); 25] = [
 fn other(option: &str) -> Value {
     match option {
         "rounds" | "steps" | "size" | "cap" | "seed" => json!(777),
+        "exposure" => json!("as_taken"),
         "sh_degree" => json!(1),
         "target" => json!("10,0.8"),
         "lut_scope" => json!("image"),
@@ -170,7 +172,7 @@ fn another_network_invalidates_scenes_of_deblurred_views() {
 
 #[test]
 fn a_stage_sees_defaults_for_options_that_it_does_not_name() {
-    let options = Options { steps: 7, cap: 777, ..Options::default() };
+    let options = Options { steps: 7, cap: Setting::Given(777), ..Options::default() };
     let depends_on = Dependencies::on(&options, &["steps"], &[]);
     assert_eq!(depends_on.options().steps, 7);
     assert_eq!(depends_on.options().cap, Options::default().cap);

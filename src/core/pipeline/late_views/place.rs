@@ -145,7 +145,7 @@ impl Scene<'_> {
             return Ok(None);
         };
         let posed = PosedView { name: photograph.name.clone(), ..other.clone() };
-        let size = self.options.size as usize;
+        let size = self.options.longest_side() as usize;
         let view = views::view(photograph, &posed, Split::Train, size)?;
         Ok(Some(Query { posed, view }))
     }

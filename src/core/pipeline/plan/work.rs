@@ -63,6 +63,9 @@ const NOISE: f64 = 30.0;
 const FIRST_SHARE: f64 = 0.25;
 const GROWTH: (f64, f64) = (0.05, 0.425);
 
+/// Share of the training views of a shaken capture that have a kernel, until a round has told.
+const KERNELS: f64 = 0.6;
+
 /// Work of some parts, s.
 pub type Work = Vec<(Part, f64)>;
 
@@ -106,9 +109,9 @@ impl Job {
     ) {
         (self.rounds, self.views) = (rounds, f64::from(views));
         if shake.is_some() {
-            let before = self.options.size;
+            let before = self.options.longest_side();
             self.options = shaken::in_effect(&self.asked, shake, size.unwrap_or(before));
-            self.megapixels *= (f64::from(self.options.size) / f64::from(before)).powi(2);
+            self.megapixels *= (f64::from(self.options.longest_side()) / f64::from(before)).powi(2);
         }
     }
 
@@ -176,7 +179,7 @@ impl Job {
     /// Seconds of something, for these shares of a view's pixels and of all Gaussians.
     fn seconds(&self, price: &Price, pixels: f64, gaussians: f64) -> f64 {
         let Price(alone, per_megapixel, per_thousand) = price;
-        let thousands = f64::from(self.options.cap) / 1e3;
+        let thousands = f64::from(self.options.most_gaussians()) / 1e3;
         alone + per_megapixel * self.megapixels * pixels + per_thousand * thousands * gaussians
     }
 
@@ -248,7 +251,7 @@ impl Job {
         } else if round == 1 || !self.options.shake.explains(true) {
             0.0
         } else {
-            self.kernels.unwrap_or(shaken::SHAKEN_SHARE * training)
+            self.kernels.unwrap_or(KERNELS * training)
         };
         expected.min(training)
     }

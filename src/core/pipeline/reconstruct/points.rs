@@ -1,30 +1,26 @@
 //! The sparse points that initialise the first round.
 
-use crate::camera::Split;
+use crate::camera::Camera;
 use crate::image::Image;
 use crate::mask::Mask;
-use crate::pipeline::views::View;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::Point;
+
+/// A picture of the sparse points: its camera, values and the pixels that count.
+pub type Seen<'a> = (&'a Camera, &'a Image, Option<&'a Mask>);
 
 /// The sparse points in the colours of the round's images: the median over the training views that
 /// show a point. COLMAP's own colours are those of brightened copies; splats that start much too
 /// bright turn transparent before they turn dark, and leave holes.
-pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
+pub fn coloured<'a>(poses: &Poses, pictures: impl Iterator<Item = Seen<'a>>) -> Vec<Point> {
+    let pictures: Vec<Seen<'_>> = pictures.collect();
     let seen = |position: [f64; 3]| -> Vec<[f32; 3]> {
-        views
-            .iter()
-            .zip(images)
-            .filter(|(view, _)| view.split == Split::Train)
-            .filter_map(|(view, image)| {
-                let (pixel, _) = view.camera.shows(position.into())?;
-                let hides = |mask: &Mask| !mask.holds(pixel.x as usize, pixel.y as usize);
-                if view.mask.as_ref().is_some_and(hides) {
-                    return None;
-                }
-                Some(image.get(pixel.x as usize, pixel.y as usize))
-            })
-            .collect()
+        let of = |(camera, image, mask): &Seen<'_>| {
+            let (pixel, _) = camera.shows(position.into())?;
+            let (x, y) = (pixel.x as usize, pixel.y as usize);
+            mask.is_none_or(|mask| mask.holds(x, y)).then(|| image.get(x, y))
+        };
+        pictures.iter().filter_map(of).collect()
     };
     let colour = |point: &SparsePoint| {
         let seen = seen(point.position);
