@@ -80,8 +80,8 @@ pub fn correction(
     if width.min(height) <= 4 * BORDER {
         return None;
     }
-    let [photograph, render] = &[photograph, render].map(detail);
-    let probed = &probed.each_ref().map(detail);
+    let [photograph, render] = &[photograph, render].map(|image| detail(image, kept));
+    let probed = &probed.each_ref().map(|image| detail(image, kept));
     let exposure = Exposure::between(render, photograph, kept);
     let bend = BEND * middle_difference(photograph, render, &exposure, kept)?;
     let mut curvature = [[0.0_f64; 6]; 6];
@@ -126,15 +126,30 @@ pub fn correction(
 }
 
 /// The image without what is larger than a window: light that differs from photograph to photograph
-/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge.
-fn detail(image: &Image) -> Image {
+/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge. Pixels that are not
+/// `kept` take no part in the means.
+fn detail(image: &Image, kept: Option<&Mask>) -> Image {
     let (width, height) = (image.width(), image.height());
     let reach = (width.max(height) / WINDOWS).max(BORDER);
+    let windowed = |values: &[f32]| {
+        let rows = means(values, width, height, reach);
+        means(&rows, height, width, reach)
+    };
+    let shares: Option<Vec<f32>> =
+        kept.map(|kept| kept.pixels().iter().map(|kept| f32::from(u8::from(*kept))).collect());
+    let of_kept = shares.as_ref().map(|shares| windowed(shares));
     let mut detail = image.clone();
     for channel in 0..3 {
-        let rows = means(image.plane(channel), width, height, reach);
-        let columns = means(&rows, height, width, reach);
-        let values = detail.plane_mut(channel).iter_mut().zip(&columns);
+        let means = match (&shares, &of_kept) {
+            (Some(shares), Some(of_kept)) => {
+                let plane = image.plane(channel).iter().zip(shares);
+                let counted: Vec<f32> = plane.map(|(value, share)| value * share).collect();
+                let means = windowed(&counted);
+                means.iter().zip(of_kept).map(|(mean, share)| mean / share.max(1e-6)).collect()
+            }
+            _ => windowed(image.plane(channel)),
+        };
+        let values = detail.plane_mut(channel).iter_mut().zip(&means);
         values.for_each(|(value, mean)| *value -= mean);
     }
     detail
@@ -249,7 +264,7 @@ impl Exposure {
 /// The mean absolute difference of a photograph and its render in the photograph's exposure,
 /// without the border and pixels that are not `kept`.
 pub fn difference(photograph: &Image, render: &Image, kept: Option<&Mask>) -> f64 {
-    let [photograph, render] = &[photograph, render].map(detail);
+    let [photograph, render] = &[photograph, render].map(|image| detail(image, kept));
     let exposure = Exposure::between(render, photograph, kept);
     let (mut sum, mut count) = (0.0, 0);
     differences(photograph, render, &exposure, kept, |difference| {
