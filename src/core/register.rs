@@ -126,8 +126,8 @@ pub fn correction(
 }
 
 /// The image without what is larger than a window: light that differs from photograph to photograph
-/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge. Pixels that are not
-/// `kept` take no part in the means.
+/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge. Pixels that are
+/// not `kept` take no part in the means.
 fn detail(image: &Image, kept: Option<&Mask>) -> Image {
     let (width, height) = (image.width(), image.height());
     let reach = (width.max(height) / WINDOWS).max(BORDER);
