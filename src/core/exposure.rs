@@ -12,8 +12,6 @@ use crate::camera::Camera;
 use crate::image::{Image, Linear};
 use crate::mask::Mask;
 
-/// Pixels between those of a view that are looked for in another.
-const STRIDE: usize = 1;
 /// Relative difference of depth up to which two views see the same surface.
 const SAME_DEPTH: f64 = 0.03;
 /// Light from which a channel may be clipped, or bent by the camera's curve.
@@ -99,7 +97,7 @@ pub struct Ratio {
     pub views: [usize; 2],
     /// How much more light the first one has, stops by channel.
     pub stops: [f64; 3],
-    /// Number of pixels of the first that told it.
+    /// Number of pixels of the first view on those surfaces.
     pub pixels: usize,
 }
 
@@ -132,8 +130,8 @@ fn surface_points(view: &Surface<'_>) -> Vec<SurfacePoint> {
     let to_world = view.camera.rotation().transpose();
     let origin = view.camera.centre();
     let mut points = Vec::new();
-    for y in (1..k.height.saturating_sub(1)).step_by(STRIDE) {
-        for x in (1..k.width.saturating_sub(1)).step_by(STRIDE) {
+    for y in 1..k.height.saturating_sub(1) {
+        for x in 1..k.width.saturating_sub(1) {
             let Some(light) = usable(view, x, y) else { continue };
             let Some(depth) = view.depth[y * k.width + x] else { continue };
             let ray =
@@ -156,7 +154,7 @@ fn usable(view: &Surface<'_>, x: usize, y: usize) -> Option<[f32; 3]> {
 
 fn ratio(views: &[Surface<'_>], pair: [usize; 2], points: &[SurfacePoint]) -> Option<Ratio> {
     let other = &views[pair[1]];
-    let mut told: Vec<([f32; 3], f32)> = Vec::new();
+    let mut common: Vec<([f32; 3], f32)> = Vec::new();
     for SurfacePoint { light, point } in points {
         let Some((pixel, depth)) = other.camera.shows(*point) else { continue };
         let (x, y) = (pixel.x as usize, pixel.y as usize);
@@ -166,14 +164,14 @@ fn ratio(views: &[Surface<'_>], pair: [usize; 2], points: &[SurfacePoint]) -> Op
         }
         let Some(seen) = usable(other, x, y) else { continue };
         let of = |channel: usize| (light[channel] / seen[channel]).log2();
-        told.push((std::array::from_fn(of), light[1] * seen[1]));
+        common.push((std::array::from_fn(of), light[1] * seen[1]));
     }
-    let dark = (DARK_SHARE * told.len() as f64) as usize;
-    if told.len() - dark < LEAST_PIXELS {
+    let dark = (DARK_SHARE * common.len() as f64) as usize;
+    if common.len() - dark < LEAST_PIXELS {
         return None;
     }
-    told.select_nth_unstable_by(dark, |a, b| a.1.total_cmp(&b.1));
-    let bright = &told[dark..];
+    common.select_nth_unstable_by(dark, |a, b| a.1.total_cmp(&b.1));
+    let bright = &common[dark..];
     let middle = |channel: usize| {
         let mut stops: Vec<f32> = bright.iter().map(|(stops, _)| stops[channel]).collect();
         let at = stops.len() / 2;

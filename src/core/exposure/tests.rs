@@ -4,7 +4,7 @@ fn ratio(first: usize, second: usize, stops: f64) -> Ratio {
     Ratio { views: [first, second], stops: [stops, stops + 0.1, stops - 0.1], pixels: 500 }
 }
 
-/// Gains of so many views, with zero mean.
+/// Different gains for `count` views, with a mean of zero.
 fn truth(count: usize) -> Vec<Gains> {
     let stops = |view: usize| {
         let at = view as f64;

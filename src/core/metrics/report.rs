@@ -216,8 +216,8 @@ pub struct CaptureExposure {
     pub verdict: String,
     /// Least and largest exposure of a training view, stops relative to their mean.
     pub spread_stops: [f64; 2],
-    /// What the exposures leave of the ratios of light between pairs of views, stops. Near 0 where
-    /// one exposure a view explains them; `None` without pairs.
+    /// Median deviation of the pairs' measured light ratios from those of the solved exposures,
+    /// stops. Near 0 where one exposure for each view explains them; `None` without pairs.
     pub residual_stops: Option<f64>,
     /// Ordered pairs of views that show enough common surface.
     pub pairs: u32,

@@ -146,11 +146,10 @@ pub fn find(
     let mut error = None;
     if verdict == Verdict::Used {
         let second = CoarseScene::of(context, device, poses, &small, &found.gains)?;
-        if second.error > WORSE * first.error {
-            verdict = Verdict::NotConfirmed;
-        }
-        error = Some([first.error, second.error]);
         found = solved(&small, &second.ratios, &shots);
+        let is_worse = second.error > WORSE * first.error;
+        verdict = if is_worse { Verdict::NotConfirmed } else { Verdict::of(&found) };
+        error = Some([first.error, second.error]);
     }
     let share = if verdict == Verdict::Used { found.trust() } else { 0.0 };
     let applied: Vec<Gains> = found.gains.iter().map(|gains| gains.scaled(share)).collect();
@@ -322,7 +321,7 @@ struct CoarseScene {
 }
 
 impl CoarseScene {
-    /// Trains on the photographs in the neutral exposure.
+    /// Trains on the photographs, evened by these gains.
     fn of(
         context: &Context<'_>,
         device: &Device,

@@ -54,6 +54,19 @@ fn corrected(photograph: &Image, given: &Camera, rounds: usize) -> Motion {
 }
 
 #[test]
+fn an_exposure_or_a_shadow_is_not_taken_for_a_motion() {
+    let truth = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
+    let mut photograph = seen(&truth).map(|value| 0.7 * value + 0.05);
+    let width = photograph.width();
+    for (at, value) in photograph.data_mut().iter_mut().enumerate() {
+        *value += 0.1 * (at % width) as f32 / width as f32;
+    }
+    let motion = corrected(&photograph, &truth, 3);
+    let moved = apart(&motion.moved(&truth), &truth);
+    assert!(moved < 0.1, "{moved} px");
+}
+
+#[test]
 fn a_camera_that_is_a_pixel_off_is_corrected() {
     let truth = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
     let photograph = seen(&truth);
