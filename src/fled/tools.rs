@@ -266,7 +266,7 @@ fn open_networks(
         search: &search,
         models: &args.models.folders(),
         threads: 0,
-        unguided: options.guide == Guide::None || options.rounds == 1,
+        unguided: options.guide == Guide::None || options.round_count() == 1,
     };
     let deblurrer = deblur::open(&options.deblur, &open);
     let enhancer = deblur::open_enhancer(&options.enhance, &open);

@@ -3,6 +3,8 @@
 use std::path::Path;
 
 use fled_core::camera::Camera;
+use fled_core::exposure::Gains;
+use fled_core::image::Image;
 use fled_core::synthetic::{SynthOptions, generate};
 use glam::{DMat4, DQuat, DVec3};
 use serde_json::{Value, json};
@@ -12,6 +14,8 @@ use crate::support::{fled, json, succeed};
 /// The photograph without a pose, and the one rotated by 12 degrees.
 const LOST: &str = "004";
 const MOVED: &str = "007";
+/// Exposures of the photographs by their number modulo 4, stops; that of 004 is the first.
+const STOPS: [f64; 4] = [0.6, -0.2, 0.0, -0.4];
 
 fn transforms(cameras: &[(String, Camera)]) -> Value {
     let k = cameras[0].1.intrinsics;
@@ -67,6 +71,13 @@ fn capture(folder: &Path) -> Vec<(String, Camera)> {
     std::fs::remove_file(folder.join("poses_bounds.npy")).expect("there");
     let poses = transforms(&made.cameras).to_string();
     std::fs::write(folder.join("transforms.json"), poses).expect("written");
+    for (name, _) in &made.cameras {
+        let path = folder.join(format!("images/{name}.png"));
+        let number: usize = name.parse().expect("a number");
+        let gains = Gains { stops: [STOPS[number % 4]; 3] };
+        let photograph = Image::load(&path).expect("a photograph");
+        gains.expose(&photograph).save(&path).expect("written");
+    }
     made.cameras
 }
 
@@ -113,6 +124,12 @@ fn lost_and_misplaced_photographs_join_at_the_right_place() {
         rows.iter().filter(|row| row["registered"] == true).count()
     };
     assert_eq!((registered(0), registered(1)), (11, 12));
+    let stops = |name: &str| {
+        let view = &metrics["exposure"]["views"][name];
+        view["stops"].as_f64().unwrap_or_else(|| panic!("{name}: {}", metrics["exposure"]))
+    };
+    let apart = stops(LOST) - stops("005") - (STOPS[0] - STOPS[1]);
+    assert!(apart.abs() < 0.1, "{apart}: {}", metrics["exposure"]);
     // The search is not repeated.
     let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");

@@ -22,7 +22,7 @@ JOBS = [
     (12, "240x136", 9, {"steps": 300, "cap": 2000, "rounds": 1, "deblur": "identity"}),
     (14, "200x112", 9, {"steps": 100, "cap": 4000, "rounds": 3, "deblur": "identity"}),
     (10, "240x136", 9, {"steps": 120, "cap": 3000, "pose_source": "colmap"}),
-    (12, "240x136", 0.5, {"steps": 120, "cap": 3000}),
+    (12, "240x136", 0.5, {"steps": 240, "cap": 3000}),
     (8, "320x240", 9, {"steps": 250, "cap": 2000, "rounds": 1}),
     (14, "200x150", 9, {"steps": 200, "cap": 2000, "train_on": "deblurred", "shake": "off"}),
     (12, "240x136", 9, {"steps": 120, "cap": 3000, "shake": "kernel", "deblur": "identity"}),

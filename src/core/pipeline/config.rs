@@ -20,12 +20,13 @@ pub use shake::{ShakeModel, TrainOn};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Number of rounds, each of which brightens, deblurs and reconstructs.
-    #[schemars(range(min = 1, max = 8))]
-    pub rounds: u32,
-    /// Optimiser steps per round.
-    #[schemars(range(min = 1, max = 200_000))]
-    pub steps: u32,
+    /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 if the
+    /// capture is found still.
+    #[schemars(schema_with = "setting::schema::<1, 8>")]
+    pub rounds: Setting,
+    /// Optimiser steps per round. `auto` is 1,000, or 2,000 in the one round of a still capture.
+    #[schemars(schema_with = "setting::schema::<1, 200_000>")]
+    pub steps: Setting,
     /// Longest side of the working images, px; never above the original. `auto` is 560, or 420 if
     /// the capture is found strongly shaken.
     #[schemars(schema_with = "setting::schema::<64, 4096>")]
@@ -202,6 +203,8 @@ pub enum Preset {
 }
 
 /// What `auto` stands for.
+const USUAL_ROUNDS: u32 = 2;
+const USUAL_STEPS: u32 = 1_000;
 const USUAL_SIDE: u32 = 560;
 const USUAL_CAP: u32 = 30_000;
 
@@ -219,8 +222,8 @@ impl Preset {
     /// The options that the preset stands for.
     pub fn options(self) -> Options {
         let standard = Options {
-            rounds: 2,
-            steps: 1_000,
+            rounds: Setting::Auto,
+            steps: Setting::Auto,
             size: Setting::Auto,
             target: "auto".to_owned(),
             exposure: Exposure::Auto,
@@ -261,10 +264,10 @@ fn paper(standard: Options) -> Options {
     Options {
         // The paper does not say: N + 1 cycles in its text, N in Algorithm 1 and, by its times (41,
         // 68 and 94 minutes for 2, 3 and 4 rounds), in its tables.
-        rounds: 2,
+        rounds: Setting::Given(2),
         // The paper does not say: whether 10,000 iterations are those of a round or of the run. Its
         // times grow by as much with each round.
-        steps: 10_000,
+        steps: Setting::Given(10_000),
         size: Setting::Given(1120),
         // The paper does not say: how P_N is found.
         target: "auto-paper".to_owned(),
@@ -302,6 +305,16 @@ impl Options {
             TrainOn::Deblurred => false,
             TrainOn::Enhanced => true,
         }
+    }
+
+    /// Number of rounds before a verdict on the shake.
+    pub fn round_count(&self) -> u32 {
+        self.rounds.or(USUAL_ROUNDS)
+    }
+
+    /// Optimiser steps of a round before a verdict on the shake.
+    pub fn steps_per_round(&self) -> u32 {
+        self.steps.or(USUAL_STEPS)
     }
 
     /// Longest side of the working images before a verdict on the shake, px.
@@ -458,8 +471,8 @@ impl Options {
     }
 
     fn check(&self) -> Result<(), OptionsError> {
-        within("rounds", self.rounds, 1, 8)?;
-        within("steps", self.steps, 1, 200_000)?;
+        within("rounds", self.round_count(), 1, 8)?;
+        within("steps", self.steps_per_round(), 1, 200_000)?;
         within("size", self.longest_side(), 64, 4096)?;
         self.networks().iter().try_for_each(NetworkOption::check)?;
         if self.enhance != NetworkChoice::Curve && self.target != "auto" {

@@ -67,13 +67,15 @@ pub fn plan(
     let counted: Vec<&Image> = counted.iter().map(|image| &**image).collect();
     let by_network = by_network(context, views, dependencies, tools)?;
     let anchors = match &by_network {
-        Some(images) => vec![nearest(context, options, &dark, images); options.rounds as usize],
+        Some(images) => {
+            vec![nearest(context, options, &dark, images); options.round_count() as usize]
+        }
         None => {
             let target = target(options, &counted)?;
             context.sink.log(format!("target brightness: {target}"));
             match dependencies.levels() {
-                Levels::Rising => enhance::anchors(options.rounds, target),
-                Levels::Target => vec![target; options.rounds as usize],
+                Levels::Rising => enhance::anchors(options.round_count(), target),
+                Levels::Target => vec![target; options.round_count() as usize],
             }
         }
     };

@@ -50,6 +50,8 @@ const LEAST_CORRELATION: f64 = 0.5;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Exposures {
     gains: BTreeMap<String, Gains>,
+    /// The share of solved gains that is used; 0 leaves photographs as taken.
+    share: f64,
 }
 
 impl Exposures {
@@ -60,6 +62,41 @@ impl Exposures {
                 view.dark = gains.even(&view.dark);
             }
         }
+    }
+
+    /// Brings views that a round's scene placed to the exposure of the others. Returns what was
+    /// solved for, by the name of the view.
+    ///
+    /// # Errors
+    /// [`PipelineError::Render`].
+    pub fn even_late(
+        &mut self,
+        device: &Device,
+        scene: &Gaussians,
+        views: &mut [View],
+        capture: &Capture,
+    ) -> Result<Vec<(String, ViewExposure)>, PipelineError> {
+        let is_new = |view: &View| view.is_late && !self.gains.contains_key(&view.name);
+        let late: Vec<bool> = views.iter().map(is_new).collect();
+        if self.share == 0.0 || !late.contains(&true) {
+            return Ok(Vec::new());
+        }
+        let known: Vec<Option<Gains>> =
+            late.iter().map(|late| (!late).then(Gains::default)).collect();
+        let small = Small::of(views);
+        let depths = small.depths(&Renderer::new(device), scene)?;
+        let ratios = exposure::ratios(&small.surfaces(&depths));
+        let found = exposure::solve(&known, &ratios, &vec![0.0; views.len()]).gains;
+        let mut solved = Vec::new();
+        for (view, gains) in
+            views.iter_mut().zip(found).zip(late).filter_map(|(of, late)| late.then_some(of))
+        {
+            let used = gains.scaled(self.share);
+            view.dark = used.even(&view.dark);
+            self.gains.insert(view.name.clone(), used);
+            solved.push((view.name.clone(), of_view(&gains, shot(capture, view))));
+        }
+        Ok(solved)
     }
 }
 
@@ -98,6 +135,21 @@ impl<'a> Small<'a> {
         }
     }
 
+    /// The depth of a scene in each view.
+    fn depths(&self, renderer: &Renderer, scene: &Gaussians) -> Result<Vec<Depth>, PipelineError> {
+        self.cameras.iter().map(|camera| Ok(renderer.depth(scene, camera)?)).collect()
+    }
+
+    fn surfaces<'b>(&'b self, depths: &'b [Depth]) -> Vec<Surface<'b>> {
+        let surface = |(index, depth): (usize, &'b Depth)| Surface {
+            camera: &self.cameras[index],
+            photograph: &self.light[index],
+            depth: depth.values(),
+            mask: self.masks[index].as_ref(),
+        };
+        depths.iter().enumerate().map(surface).collect()
+    }
+
     /// Indices of the training views.
     fn training(&self) -> impl Iterator<Item = usize> + Clone + '_ {
         let trains = |index: &usize| self.views[*index].split == Split::Train;
@@ -134,11 +186,7 @@ pub fn find(
         return Ok((Exposures::default(), None));
     }
     let small = Small::of(views);
-    let shot = |view: &View| {
-        let photograph = capture.views.iter().find(|photograph| photograph.name == view.name);
-        photograph.and_then(|photograph| photograph.shot)
-    };
-    let shots: Vec<Option<Shot>> = views.iter().map(shot).collect();
+    let shots: Vec<Option<Shot>> = views.iter().map(|view| shot(capture, view)).collect();
     let as_taken = vec![Gains::default(); views.len()];
     let first = CoarseScene::of(context, device, poses, &small, &as_taken)?;
     let mut found = solved(&small, &first.ratios, &shots);
@@ -170,7 +218,13 @@ pub fn find(
     };
     context.sink.log(format!("exposure: {}", report.in_words()));
     let named = views.iter().map(|view| view.name.clone()).zip(applied);
-    Ok((Exposures { gains: named.collect() }, Some(report)))
+    Ok((Exposures { gains: named.collect(), share }, Some(report)))
+}
+
+/// The EXIF exposure of a view's photograph.
+fn shot(capture: &Capture, view: &View) -> Option<Shot> {
+    let photograph = capture.views.iter().find(|photograph| photograph.name == view.name);
+    photograph.and_then(|photograph| photograph.shot)
 }
 
 fn of_view(gains: &Gains, shot: Option<Shot>) -> ViewExposure {
@@ -334,16 +388,7 @@ impl CoarseScene {
         let left_out: Vec<Mask> = images.iter().enumerate().map(left_out).collect();
         let scene = trained(context, device, poses, small, &images, &left_out)?;
         let renderer = Renderer::new(device);
-        let depth = |camera| Ok(renderer.depth(&scene, camera)?);
-        let depths =
-            small.cameras.iter().map(depth).collect::<Result<Vec<Depth>, PipelineError>>()?;
-        let surface = |index: usize| Surface {
-            camera: &small.cameras[index],
-            photograph: &small.light[index],
-            depth: depths[index].values(),
-            mask: small.masks[index].as_ref(),
-        };
-        let surfaces: Vec<Surface<'_>> = (0..images.len()).map(surface).collect();
+        let depths = small.depths(&renderer, &scene)?;
         let uploaded = renderer.upload(&scene)?;
         let (mut sum, mut count) = (0.0, 0);
         for index in small.training() {
@@ -359,7 +404,7 @@ impl CoarseScene {
             count += photograph.data().len();
         }
         let error = (sum / count.max(1) as f64).sqrt();
-        Ok(Self { ratios: exposure::ratios(&surfaces), error })
+        Ok(Self { ratios: exposure::ratios(&small.surfaces(&depths)), error })
     }
 }
 

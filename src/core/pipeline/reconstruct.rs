@@ -163,7 +163,7 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
         Pace::Published => reconstruct::camera_extent(&training_cameras(material.views)),
     };
     TrainConfig {
-        steps: options.steps,
+        steps: options.steps_per_round(),
         cap: options.most_gaussians() as usize,
         sh_degree: options.sh_degree,
         noise: options.noise,

@@ -1,6 +1,6 @@
 //! Algorithm 1.
 
-use super::config::Options;
+use super::config::{Options, Setting};
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
@@ -9,7 +9,7 @@ use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
 use super::explained::{self, explained, trained_on, training_images};
-use super::exposures;
+use super::exposures::{self, Exposures};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::{By, History, Plan, Teller};
@@ -68,6 +68,7 @@ struct RoundState {
     views: Vec<View>,
     /// P_1..P_N, H_N.
     brightening: Brightening,
+    exposures: Exposures,
 }
 
 /// Runs Algorithm 1: brighten one step, deblur, train, render; the clean renders guide the next
@@ -101,7 +102,7 @@ pub fn run(
     exposures.even(&mut views);
     let shaken = None;
     let asked = Asked { capture, options, shaken };
-    let mut state = RoundState::new(context, asked, tools, poses, views)?;
+    let mut state = RoundState::new(context, asked, tools, poses, views, exposures)?;
     let on = &state.depends_on;
     let (views, brightening) = (&state.views, &state.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
@@ -111,7 +112,7 @@ pub fn run(
     let in_effect = shaken::in_effect(options, report.capture_shake, size);
     report::change(&mut report, options, &in_effect);
     let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
-    let rounds = if asked.is_still() { 1 } else { options.rounds };
+    let rounds = if asked.is_one_round() { 1 } else { options.round_count() };
     context.sink.event(&Event::Planned {
         rounds,
         views: state.views.len() as u32,
@@ -121,13 +122,14 @@ pub fn run(
     let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
         state.views = views::load(context, capture, &state.poses, &in_effect)?;
-        exposures.even(&mut state.views);
+        state.exposures.even(&mut state.views);
     }
     if asked.is_still() || is_smaller {
-        state = RoundState::new(context, asked, tools, state.poses, state.views)?;
+        let RoundState { poses, views, exposures, .. } = state;
+        state = RoundState::new(context, asked, tools, poses, views, exposures)?;
     }
     let mut before: Option<Handover> = None;
-    for index in 0..in_effect.rounds as usize {
+    for index in 0..in_effect.round_count() as usize {
         let turn = Turn { asked, index, before: before.as_ref() };
         before = round(context, tools, turn, &mut state, &mut report)?;
         if before.is_none() {
@@ -148,10 +150,15 @@ struct Asked<'a> {
 }
 
 impl Asked<'_> {
-    /// Whether the rounds are plain splatting at the target brightness. Another such round follows
-    /// only if the previous one placed a photograph or showed that a view has a wrong pose.
+    /// Whether the rounds are plain splatting at the target brightness.
     fn is_still(&self) -> bool {
         self.shaken.map(Shaken::verdict) == Some(CaptureShake::Still)
+    }
+
+    /// Whether another round follows only if the previous one placed a photograph or showed that a
+    /// view has a wrong pose.
+    fn is_one_round(&self) -> bool {
+        self.is_still() && self.options.rounds == Setting::Auto
     }
 }
 
@@ -207,7 +214,7 @@ fn round(
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i
-    let next = if asked.is_still() {
+    let next = if asked.is_one_round() {
         None
     } else {
         match_brightness(context, round, &renders, views, brightening, &on.matching)? // P_R
@@ -225,7 +232,7 @@ fn round(
     let metrics = evaluate(context, &finished, brightening, &report.rounds)?;
     publish(context.workspace, &with_fits(poses, &metrics))?;
     report::add_round(context, report, metrics, asked.options.deliver)?;
-    if turn.index + 1 == asked.options.rounds as usize {
+    if turn.index + 1 == asked.options.round_count() as usize {
         return Ok(None);
     }
     let finished = FinishedRound {
@@ -237,18 +244,24 @@ fn round(
         scene: &scene,
         metrics: report.rounds.last().expect("the round was added"),
     };
-    let Some((poses, views)) = join(context, asked, tools, &finished, &on, &state.depends_on)?
+    let Some((poses, mut views)) = join(context, asked, tools, &finished, &on, &state.depends_on)?
     else {
         return Ok(next.map(|next| Handover::new(next, scene, on)));
     };
     report::place(report, &poses);
+    let exposures = &mut state.exposures;
+    let late = exposures.even_late(tools.device, &scene.gaussians, &mut views, asked.capture)?;
+    if let Some(found) = &mut report.exposure {
+        found.views.extend(late);
+    }
+    let exposures = std::mem::take(exposures);
     context.sink.event(&Event::Planned {
-        rounds: asked.options.rounds,
+        rounds: asked.options.round_count(),
         views: views.len() as u32,
         shake: report.capture_shake,
         size: Some(asked.options.longest_side()),
     });
-    *state = RoundState::new(context, asked, tools, poses, views)?;
+    *state = RoundState::new(context, asked, tools, poses, views, exposures)?;
     state.hand_over(context, tools, turn.index, scene, on)
 }
 
@@ -282,12 +295,13 @@ impl RoundState {
         tools: &mut Tools<'_>,
         poses: Poses,
         views: Vec<View>,
+        exposures: Exposures,
     ) -> Result<Self, PipelineError> {
         let depends_on = RunDependencies::of(asked.options, asked.capture, &poses, tools);
         let depends_on =
             depends_on.with_levels(if asked.is_still() { Levels::Target } else { Levels::Rising });
         let brightening = enhance::plan(context, &views, &depends_on, tools)?;
-        Ok(Self { poses, depends_on, views, brightening })
+        Ok(Self { poses, depends_on, views, brightening, exposures })
     }
 
     /// The handover to the next round, remade over these views.
@@ -338,7 +352,7 @@ fn begin<'a>(
     cancel.check()?;
     workspace.write_json(&workspace.folder().config(), options)?;
     sink.event(&Event::Planned {
-        rounds: options.rounds,
+        rounds: options.round_count(),
         views: capture.views.len() as u32,
         shake: None,
         size: None,

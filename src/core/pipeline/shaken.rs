@@ -161,7 +161,7 @@ pub fn shaken(
     }
     let told = format!("{} of {} views are shaken", shaken.count(), views.len());
     let done = match shaken.verdict() {
-        CaptureShake::Still => "one round of plain splatting, cameras as found".to_owned(),
+        CaptureShake::Still => "plain splatting, cameras as found".to_owned(),
         CaptureShake::Shaken => format!(
             "from the second round on, blur kernels model the shake of views whose renders show \
              one, in images of {} px",
@@ -196,16 +196,19 @@ fn is_strong(
 
 /// The options in effect for the rounds, whose working images have `size`.
 ///
-/// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
-/// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
-/// (docs/decisions/cameras.md). Where the options leave it open, the images of a strongly shaken
+/// A still capture is splatted plainly, in one round with the steps of all unless the options say
+/// otherwise. Its cameras stay as found: correcting them costs one museum capture 0.3 to 0.6 dB and
+/// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, the images of a strongly shaken
 /// capture are smaller, with as many Gaussians a pixel.
 pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
     let mut options = options.clone();
     match verdict {
         Some(CaptureShake::Still) => {
             options.refine_poses = false;
-            options.steps = options.steps.saturating_mul(options.rounds);
+            if options.rounds == Setting::Auto && options.steps == Setting::Auto {
+                let all = options.steps_per_round() * options.round_count();
+                options.steps = Setting::Given(all);
+            }
         }
         Some(CaptureShake::Shaken) => {
             let area = (f64::from(size) / f64::from(options.longest_side())).powi(2);
@@ -262,7 +265,12 @@ mod tests {
         let options = Options::default();
         let still = in_effect(&options, Some(CaptureShake::Still), 560);
         assert!(!still.refine_poses);
-        assert_eq!(still.steps, options.steps * options.rounds);
+        assert_eq!((still.rounds, still.steps), (Setting::Auto, Setting::Given(2_000)));
+        let set = Options { rounds: Setting::Given(3), ..options.clone() };
+        let obeyed = in_effect(&set, Some(CaptureShake::Still), 560);
+        assert_eq!((obeyed.rounds, obeyed.steps), (set.rounds, set.steps));
+        let set = Options { steps: Setting::Given(70), ..options.clone() };
+        assert_eq!(in_effect(&set, Some(CaptureShake::Still), 560).steps, set.steps);
         let small =
             Options { size: Setting::Given(420), cap: Setting::Given(16_875), ..options.clone() };
         assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 420), small);

@@ -79,7 +79,7 @@ impl Job {
         eprintln!("a line on standard error <script>alert(1)</script>");
         say("a line that is no event");
         tell(&Event::Planned {
-            rounds: self.options.rounds,
+            rounds: self.options.round_count(),
             views: self.names.len() as u32,
             shake: None,
             size: None,
@@ -102,7 +102,7 @@ impl Job {
         self.write_cameras()?;
         let code = "low_confidence".to_owned();
         tell(&Event::Warning { code, message: "poses <b>may</b> be wrong".to_owned() });
-        for round in 1..=self.options.rounds {
+        for round in 1..=self.options.round_count() {
             for stage in &Stage::ALL[1..] {
                 self.stage(*stage, round)?;
             }
@@ -112,10 +112,10 @@ impl Job {
                 std::process::abort();
             }
         }
-        let scene = format!("ply of round {}", self.options.rounds);
+        let scene = format!("ply of round {}", self.options.round_count());
         self.write_scene("scene.ply", &scene)?;
         tell(&Event::Finished {
-            best_round: self.options.rounds,
+            best_round: self.options.round_count(),
             seconds: self.started.elapsed().as_secs_f64(),
         });
         Ok(())
@@ -152,8 +152,8 @@ impl Job {
             skipped,
         });
         let index = Stage::ALL.iter().position(|&s| s == stage).unwrap_or(0) as f64;
-        let progress =
-            (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0) / f64::from(self.options.rounds);
+        let progress = (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0)
+            / f64::from(self.options.round_count());
         tell(&Event::Progress { progress, eta_seconds: Some(10.0 * (1.0 - progress)) });
         Ok(())
     }

@@ -132,7 +132,7 @@ impl Order {
             name: name.chars().take(200).collect(),
             capture_id: capture.to_owned(),
             preset: self.preset.name().to_owned(),
-            rounds: self.options.rounds,
+            rounds: self.options.round_count(),
             needs: self.needs(app),
             priority: self.priority.number(),
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,

@@ -24,7 +24,7 @@ fn late_kernels_are_for_views_found_shaken() {
 #[test]
 fn assignments_take_numbers_words_and_booleans() {
     let options = Options::default();
-    assert_eq!(options.with_assignment("rounds=3").expect("valid").rounds, 3);
+    assert_eq!(options.with_assignment("rounds=3").expect("valid").round_count(), 3);
     assert_eq!(options.with_assignment("held_out=5").expect("valid").held_out, "5");
     assert_eq!(options.with_assignment("noise=off").expect("valid").noise, NoiseMode::Off);
     assert!(!options.with_assignment("late_views=false").expect("valid").late_views);
@@ -72,7 +72,7 @@ fn stored_options_that_no_longer_exist_are_dropped() {
     let known = Options::known(&stored);
     assert_eq!(serde_json::json!(known), serde_json::json!({ "rounds": 3 }));
     let options = Options::default().with_overrides(&known).expect("valid");
-    assert_eq!(options.rounds, 3);
+    assert_eq!(options.round_count(), 3);
     let whole = serde_json::to_value(&options).expect("JSON");
     assert_eq!(serde_json::json!(Options::known(&whole)), whole);
 }

@@ -172,9 +172,10 @@ fn another_network_invalidates_scenes_of_deblurred_views() {
 
 #[test]
 fn a_stage_sees_defaults_for_options_that_it_does_not_name() {
-    let options = Options { steps: 7, cap: Setting::Given(777), ..Options::default() };
+    let options =
+        Options { steps: Setting::Given(7), cap: Setting::Given(777), ..Options::default() };
     let depends_on = Dependencies::on(&options, &["steps"], &[]);
-    assert_eq!(depends_on.options().steps, 7);
+    assert_eq!(depends_on.options().steps, Setting::Given(7));
     assert_eq!(depends_on.options().cap, Options::default().cap);
 }
 

@@ -9,6 +9,7 @@ use super::*;
 use crate::deblur::NetworkChoice;
 use crate::event::ProgressSink;
 use crate::metrics::CaptureShake;
+use crate::pipeline::config::Setting;
 use crate::pipeline::workspace::Workspace;
 
 /// Share by which the time left may be wrong, and seconds near the end.
@@ -168,7 +169,11 @@ fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
 }
 
 fn fresh(history: History) -> Plan {
-    let options = Options { steps: 300, deblur: NetworkChoice::Identity, ..Options::default() };
+    let options = Options {
+        steps: Setting::Given(300),
+        deblur: NetworkChoice::Identity,
+        ..Options::default()
+    };
     Plan::new(&options, 12, 12 * 240 * 136, By::default(), history)
 }
 

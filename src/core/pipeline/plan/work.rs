@@ -91,7 +91,7 @@ impl Job {
         Self {
             asked: options.clone(),
             options: options.clone(),
-            rounds: options.rounds,
+            rounds: options.round_count(),
             views: views as f64,
             megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
             pairs: None,
@@ -136,7 +136,7 @@ impl Job {
     /// Steps of a round.
     #[cfg(test)]
     pub fn steps(&self) -> u32 {
-        self.options.steps
+        self.options.steps_per_round()
     }
 
     /// The planned stages in order.
@@ -169,7 +169,7 @@ impl Job {
             }
             Stage::Enhance => views(Part::Enhance, &ENHANCE),
             Stage::Deblur => views(Part::Deblur, &DEBLUR),
-            Stage::Reconstruct => self.training(round, self.options.steps),
+            Stage::Reconstruct => self.training(round, self.options.steps_per_round()),
             Stage::Render => views(Part::Render, &RENDER),
             Stage::Match => views(Part::Match, &MATCH),
             Stage::Evaluate => views(Part::Evaluate, &EVALUATE),
@@ -187,7 +187,7 @@ impl Job {
     pub fn training(&self, round: u32, until: u32) -> Work {
         let options = &self.options;
         let schedule = Schedule {
-            steps: options.steps,
+            steps: options.steps_per_round(),
             sh_degree: options.sh_degree,
             resolution: options.schedule == Pace::Adapted,
             pace: options.schedule,
@@ -208,7 +208,7 @@ impl Job {
             0.0
         };
         let mut work = [0.0; 3];
-        for step in 0..until.min(options.steps) {
+        for step in 0..until.min(schedule.steps) {
             let side = 1.0 / schedule.divisor(step) as f64;
             let (from, to) = GROWTH;
             let grown = ((schedule.share(step) - from) / (to - from)).clamp(0.0, 1.0);
@@ -224,7 +224,7 @@ impl Job {
                 work[2] += share * (1.0 - held_out) * cameras;
             }
         }
-        if until >= options.steps {
+        if until >= schedule.steps {
             let corrections = 1.0 + COARSE_CAMERA * f64::from(CORRECTIONS - 1);
             work[2] += corrections * held_out * cameras;
         }

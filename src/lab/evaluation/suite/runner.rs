@@ -184,7 +184,8 @@ impl Carrier<'_, '_> {
         let (capture, configuration) = (place.capture, place.configuration);
         let order = Setup::order(self.suite, capture, configuration, (place.seed, None))?;
         let facts = self.setup.run_facts(&order, &place.title())?;
-        let a_round = training_seconds(&time.report) * rate / f64::from(facts.options.rounds);
+        let a_round =
+            training_seconds(&time.report) * rate / f64::from(facts.options.round_count());
         let rounded = (a_round / STEPS_ROUNDED_TO).round() * STEPS_ROUNDED_TO;
         Ok(Some(Some(rounded.max(STEPS_ROUNDED_TO) as u64)))
     }
