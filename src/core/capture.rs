@@ -18,6 +18,7 @@ mod masks;
 mod photograph;
 mod place;
 mod pose_files;
+mod prepared;
 mod twins;
 mod versions;
 pub mod video;
@@ -25,8 +26,13 @@ mod watch;
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
+
 use crate::image::Unread;
 use crate::photo_path::PhotoPath;
+use assess::Assessed;
+use layout::Layout;
+use prepared::Preparation;
 
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes, write_unpacked};
 pub use assess::{FEW_VIEWS, view_names};
@@ -34,12 +40,14 @@ pub use budget::DecodeBudget;
 pub use entries::NAMES;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;
+pub use look::on_few_threads;
 pub use masks::masks_in;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
+pub use prepared::{PREPARED_SIDE, PreparedImage};
 pub use watch::{Look, Watch};
 
 /// A capture that can be worked on.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Capture {
     /// The accepted photographs, in natural order of their names.
     pub views: Vec<CaptureView>,
@@ -58,58 +66,98 @@ pub struct Capture {
     pub fingerprint: String,
 }
 
-impl Capture {
-    /// Reads a capture from a folder or a zip. A zip is unpacked to `unpacked/` under
-    /// `scratch_dir` (made anew, removed again on failure); a folder is left where it is and the
-    /// scratch folder is not touched. Every photograph is decoded once; one that cannot be used
-    /// is rejected by itself.
+/// What an upload consists of, found without preparing it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Inspection {
+    /// Number of photographs that can be used.
+    pub accepted: usize,
+    /// As [`Capture::photographs`].
+    pub photographs: Vec<PhotoPath>,
+    /// As [`Capture::assessments`].
+    pub assessments: Vec<Assessment>,
+    /// As [`Capture::warnings`].
+    pub warnings: Vec<CaptureWarning>,
+    /// As [`Capture::poses`].
+    pub poses: Option<GivenPosesFile>,
+}
+
+impl Inspection {
+    /// Inspects a folder or a zip. A zip is unpacked to `unpacked/` under `scratch_dir` (made anew,
+    /// removed again on failure); a folder is left where it is. Every photograph is decoded once;
+    /// one that cannot be used is rejected by itself.
     ///
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
+    pub fn of(path: &Path, scratch_dir: &Path, watch: &Watch<'_>) -> Result<Self, CaptureError> {
+        let layout = layout(path, scratch_dir)?;
+        let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
+        let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
+        Ok(Self { accepted: views.len(), photographs, assessments, warnings, poses: layout.poses })
+    }
+}
+
+impl Capture {
+    /// Opens a capture and prepares its images in `prepared/` under `scratch_dir`, at most
+    /// [`PREPARED_SIDE`] px; else as [`Inspection::of`]. A capture that was prepared there before
+    /// is not decoded again.
+    ///
+    /// # Errors
+    /// As [`Inspection::of`]; [`CaptureError::Io`] if an image cannot be written.
     pub fn open(path: &Path, scratch_dir: &Path) -> Result<Self, CaptureError> {
-        Self::open_watched(path, scratch_dir, &Watch::nobody())
+        Self::open_at(path, scratch_dir, PREPARED_SIDE)
     }
 
-    /// As [`Capture::open`], while somebody watches.
+    /// As [`Capture::open`], with images of at most `side` px.
     ///
     /// # Errors
     /// As [`Capture::open`].
-    pub fn open_watched(
-        path: &Path,
-        scratch_dir: &Path,
-        watch: &Watch<'_>,
-    ) -> Result<Self, CaptureError> {
-        let metadata = path.metadata().map_err(CaptureError::io(path))?;
-        let entries = if metadata.is_dir() {
-            entries::of_folder(path)?
-        } else if archive::is_zip(path).map_err(CaptureError::io(path))? {
-            archive::unpack(path, &scratch_dir.join("unpacked"))?
-        } else {
-            let path = path.to_owned();
-            return Err(match Unread::of(&path).map_err(CaptureError::io(&path))? {
-                Some(format) => CaptureError::Unread { path, format },
-                None => CaptureError::NotACapture { path },
-            });
-        };
-        let layout = layout::Layout::of(entries)?;
+    pub fn open_at(path: &Path, scratch_dir: &Path, side: usize) -> Result<Self, CaptureError> {
+        let layout = layout(path, scratch_dir)?;
         let fingerprint = layout.fingerprint()?;
-        let assessed = assess::assess(&layout, watch);
-        if assessed.views.len() < MIN_VIEWS {
-            return Err(CaptureError::TooFew {
-                accepted: assessed.views.len(),
-                assessments: assessed.assessments,
-            });
+        let preparation = Preparation::new(scratch_dir, side);
+        if let Some(capture) = preparation.before(path, &fingerprint) {
+            return Ok(capture);
         }
-        Ok(Self {
-            views: assessed.views,
-            photographs: assessed.photographs,
-            assessments: assessed.assessments,
-            warnings: assessed.warnings,
-            poses: layout.poses,
-            hold: layout.hold,
-            fingerprint,
-        })
+        let failed = || CaptureError::io(&preparation.folder);
+        preparation.begin().map_err(failed())?;
+        let assessed = assess::assess(&layout, &Watch::nobody(), Some(&preparation))
+            .map_err(failed())
+            .and_then(enough)
+            .inspect_err(|_| preparation.abandon())?;
+        let Assessed { views, photographs, assessments, warnings } = assessed;
+        let (poses, hold) = (layout.poses, layout.hold);
+        let capture = Self { views, photographs, assessments, warnings, poses, hold, fingerprint };
+        preparation.keep(path, &capture).map_err(failed())?;
+        Ok(capture)
     }
+}
+
+fn layout(path: &Path, scratch_dir: &Path) -> Result<Layout, CaptureError> {
+    let metadata = path.metadata().map_err(CaptureError::io(path))?;
+    let entries = if metadata.is_dir() {
+        entries::of_folder(path)?
+    } else if archive::is_zip(path).map_err(CaptureError::io(path))? {
+        archive::unpack(path, &scratch_dir.join("unpacked"))?
+    } else {
+        let path = path.to_owned();
+        return Err(match Unread::of(&path).map_err(CaptureError::io(&path))? {
+            Some(format) => CaptureError::Unread { path, format },
+            None => CaptureError::NotACapture { path },
+        });
+    };
+    Layout::of(entries)
+}
+
+/// # Errors
+/// [`CaptureError::TooFew`].
+fn enough(assessed: Assessed) -> Result<Assessed, CaptureError> {
+    if assessed.views.len() < MIN_VIEWS {
+        return Err(CaptureError::TooFew {
+            accepted: assessed.views.len(),
+            assessments: assessed.assessments,
+        });
+    }
+    Ok(assessed)
 }
 
 #[cfg(test)]

@@ -14,6 +14,8 @@ mod transfer;
 use std::marker::PhantomData;
 
 pub use ::image::metadata::Orientation;
+#[cfg(test)]
+pub(crate) use decode::DECODED;
 pub(crate) use decode::shares;
 pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};

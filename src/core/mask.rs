@@ -6,6 +6,8 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::image::shares::{self, Shares};
 use crate::image::{Image, ImageError, Linear, Orientation, read_header};
 
@@ -135,7 +137,7 @@ pub fn counted<'a, E: Clone>(image: &'a Image<E>, mask: Option<&Mask>) -> Cow<'a
 }
 
 /// A picture that masks a photograph.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MaskPicture {
     /// Where it lies.
     pub file: PathBuf,
@@ -145,7 +147,7 @@ pub struct MaskPicture {
 }
 
 /// What masks a photograph.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Masking {
     /// The photograph.
     pub photograph: PathBuf,

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Camera;
 use crate::camera::normalisation::Normalisation;
 use crate::cancel::{CancelToken, Cancelled};
+use crate::capture::PreparedImage;
 use crate::event::ProgressSink;
 use crate::image::Image;
 use crate::mask::Masking;
@@ -68,8 +69,12 @@ pub struct PoseView {
     pub name: String,
     /// What its owner calls the photograph.
     pub path: PhotoPath,
-    /// The original photograph.
+    /// The original photograph, for its header alone.
     pub file: PathBuf,
+    /// What is read in its place.
+    pub prepared: PreparedImage,
+    /// Size of the upright original, px.
+    pub original: (usize, usize),
     /// Focal length in px of the original photograph, where its metadata tell.
     pub focal_px: Option<f64>,
     /// Its mask.

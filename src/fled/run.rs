@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::RangedU64ValueParser;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
-use fled_core::capture::{Assessment, Capture, CaptureError, MIN_VIEWS};
+use fled_core::capture::{Assessment, Capture, CaptureError, MIN_VIEWS, PREPARED_SIDE};
 use fled_core::event::ProgressSink;
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
@@ -95,7 +95,8 @@ fn run(
     } else {
         &args.capture
     };
-    let opened = Capture::open(photographs, &scratch);
+    let side = PREPARED_SIDE.max(options.longest_side() as usize);
+    let opened = Capture::open_at(photographs, &scratch, side);
     match &opened {
         Ok(Capture { assessments, .. }) | Err(CaptureError::TooFew { assessments, .. }) => {
             tell(assessments, reporter);

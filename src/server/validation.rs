@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::{self, Capture, CaptureError, CaptureWarning, Watch};
+use fled_core::capture::{self, CaptureError, CaptureWarning, Inspection, Watch};
 use fled_core::dataset::GivenPoses;
 use fled_core::poses::PosesError;
 use serde::{Deserialize, Serialize};
@@ -103,41 +103,41 @@ pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refus
     } else {
         opened(dir, dir, watch)
     };
-    let (capture, poses) = opened.map_err(|error| refuse(dir, error))?;
+    let (inspection, poses) = opened.map_err(|error| refuse(dir, error))?;
     if let Err(error) = poses {
-        return Err(bad_poses(&capture, &error));
+        return Err(bad_poses(&inspection, &error));
     }
     Ok(CaptureReport {
-        accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
-        images: capture.assessments.into_iter().map(assessment).collect(),
-        warnings: capture.warnings.into_iter().map(warning).collect(),
+        accepted: u32::try_from(inspection.accepted).unwrap_or(u32::MAX),
+        images: inspection.assessments.into_iter().map(assessment).collect(),
+        warnings: inspection.warnings.into_iter().map(warning).collect(),
     })
 }
 
-/// The capture, and whether its given poses, if any, can be read.
+/// The inspected upload, and whether its given poses, if any, can be read.
 fn opened(
     path: &Path,
     scratch: &Path,
     watch: &Watch<'_>,
-) -> Result<(Capture, Result<(), PosesError>), CaptureError> {
-    let capture = Capture::open_watched(path, scratch, watch)?;
-    let poses = match &capture.poses {
+) -> Result<(Inspection, Result<(), PosesError>), CaptureError> {
+    let inspection = Inspection::of(path, scratch, watch)?;
+    let poses = match &inspection.poses {
         None => Ok(()),
-        Some(given) => GivenPoses::open(given.path(), &capture.photographs)
+        Some(given) => GivenPoses::open(given.path(), &inspection.photographs)
             .and_then(|given| given.check().map(drop)),
     };
-    Ok((capture, poses))
+    Ok((inspection, poses))
 }
 
-fn bad_poses(capture: &Capture, error: &PosesError) -> Box<Refusal> {
+fn bad_poses(inspection: &Inspection, error: &PosesError) -> Box<Refusal> {
     Box::new(Refusal {
         detail: without_paths(&format!("The poses cannot be read: {error}")),
         hint: "Fix the file, or leave it out: then fled finds the poses.".to_owned(),
         unsupported_format: false,
         is_ours: false,
         report: CaptureReport {
-            accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
-            images: capture.assessments.iter().cloned().map(assessment).collect(),
+            accepted: u32::try_from(inspection.accepted).unwrap_or(u32::MAX),
+            images: inspection.assessments.iter().cloned().map(assessment).collect(),
             warnings: Vec::new(),
         },
     })

@@ -1,6 +1,7 @@
 //! What can be used, and what the user should know about it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::io;
 use std::path::Path;
 
 use crate::image::{Header, ImageError, Unread};
@@ -12,6 +13,7 @@ use super::look::{Eyes, Fault, Seen};
 use super::masked;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::pose_files;
+use super::prepared::{Preparation, PreparedImage};
 use super::twins;
 use super::watch::Watch;
 
@@ -33,11 +35,18 @@ pub(super) struct Assessed {
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
-/// Assesses every photograph, then the capture.
-pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
+/// Assesses every photograph, then the capture; prepares the images if that is asked for.
+///
+/// # Errors
+/// A failure to write a prepared image.
+pub(super) fn assess(
+    layout: &Layout,
+    watch: &Watch<'_>,
+    preparation: Option<&Preparation>,
+) -> io::Result<Assessed> {
     let truths = layout.ground_truth.values();
     let others = truths.chain(layout.masks.entries());
-    let eyes = Eyes::open(watch, layout.photographs.iter().chain(others));
+    let eyes = Eyes::open(watch, preparation, layout.photographs.iter().chain(others));
     let seen = eyes.look_at_all(&layout.photographs);
     let masked = masked::look_at_masks(&layout.photographs, &seen, &layout.masks, &eyes);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
@@ -57,10 +66,23 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         if twin.is_none() {
             assessed.photographs.push(entry.path.clone());
         }
-        let seen = seen.and_then(|seen| match (copies.get(&at).map(called), twin) {
-            (Some(original), _) => Err(Fault::of(format!("the same picture as {original}"))),
-            (None, Some(twin)) => Err(Fault::of(format!("the same exposure as {twin}"))),
-            (None, None) => masked.fault().map_or(Ok(seen), Err),
+        let seen = seen.and_then(|seen| {
+            match (copies.get(&at).map(called), twin) {
+                (Some(original), _) => {
+                    Err((seen, Fault::of(format!("the same picture as {original}"))))
+                }
+                (None, Some(twin)) => {
+                    Err((seen, Fault::of(format!("the same exposure as {twin}"))))
+                }
+                (None, None) => match masked.fault() {
+                    None => Ok(seen),
+                    Some(fault) => Err((seen, fault)),
+                },
+            }
+            .map_err(|(seen, fault)| {
+                seen.prepared.iter().for_each(PreparedImage::remove);
+                fault
+            })
         });
         match seen {
             Ok(seen) => {
@@ -85,7 +107,7 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     assessed.warnings.extend(of_masks);
     assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
-    assessed
+    eyes.into_failure().map_or(Ok(assessed), Err)
 }
 
 /// The photographs whose picture another one has, too, with that one: of equal pictures the one of
@@ -145,6 +167,7 @@ impl Assessed {
             height,
             focal_px,
             shot,
+            prepared: seen.prepared.clone().unwrap_or_else(PreparedImage::none),
             gt: None,
             masking: None,
         });
@@ -160,8 +183,8 @@ impl Assessed {
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
         for (view, found) in self.views.iter_mut().zip(found) {
             match found {
-                Some((entry, true)) => view.gt = Some(entry.file.clone()),
-                Some((_, false)) => unusable.push(view.path.as_str()),
+                Some(Some(truth)) => view.gt = Some(truth),
+                Some(None) => unusable.push(view.path.as_str()),
                 None => missing.push(view.path.as_str()),
             }
         }

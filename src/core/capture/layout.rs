@@ -5,6 +5,8 @@ use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use crate::image::{Unread, named_like_a_photograph};
 use crate::photo_path::{PhotoPath, Tie, find_each};
 use crate::run_folder::RunFolder;
@@ -37,7 +39,8 @@ pub(super) const POSE_FILES: [&str; 11] = [
 ];
 
 /// Poses that came with the capture, by the format of their file.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum GivenPosesFile {
     /// The folder of a COLMAP model: `cameras`, `images` and `points3D`, as text or binary.
     ColmapModel(PathBuf),

@@ -1,7 +1,8 @@
 //! What is seen in one photograph.
 
-use std::io::ErrorKind;
-use std::path::Path;
+use std::io::{self, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
@@ -10,6 +11,7 @@ use crate::image::{Header, Image, ImageError, Srgb, Unread, read_header, srgb_to
 use super::budget::DecodeBudget;
 use super::entries::Entry;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
+use super::prepared::{Preparation, PreparedImage};
 use super::twins::Print;
 use super::watch::{Look, Watch};
 
@@ -39,6 +41,8 @@ pub(super) struct Seen {
     pub(super) mean_v: f32,
     /// Gradient energy relative to brightness: comparable within one capture only.
     pub(super) sharpness: f32,
+    /// What the pipeline reads, if the capture is prepared.
+    pub(super) prepared: Option<PreparedImage>,
 }
 
 /// Why a photograph is not used.
@@ -87,22 +91,36 @@ impl From<ImageError> for Fault {
 pub(super) struct Eyes<'a> {
     budget: DecodeBudget,
     tell: &'a (dyn Fn(Look<'_>) + Sync),
+    preparation: Option<&'a Preparation>,
+    /// The first failure to write a prepared image.
+    failure: Mutex<Option<io::Error>>,
 }
 
 impl<'a> Eyes<'a> {
     /// Asks for the memory that the largest of `all` take.
-    pub(super) fn open<'b>(watch: &Watch<'a>, all: impl Iterator<Item = &'b Entry>) -> Self {
+    pub(super) fn open<'b>(
+        watch: &Watch<'a>,
+        preparation: Option<&'a Preparation>,
+        all: impl Iterator<Item = &'b Entry>,
+    ) -> Self {
         let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file));
         let mut bytes: Vec<u64> =
             all.map(|entry| read(entry).map_or(0, |header| header.decoded_bytes)).collect();
         bytes.sort_unstable_by(|a, b| b.cmp(a));
         let largest = bytes.iter().take(DECODED_AT_ONCE).sum();
-        Self { budget: (watch.lend)(largest), tell: watch.tell }
+        let failure = Mutex::new(None);
+        Self { budget: (watch.lend)(largest), tell: watch.tell, preparation, failure }
+    }
+
+    /// The first failure to write a prepared image.
+    pub(super) fn into_failure(self) -> Option<io::Error> {
+        self.failure.into_inner().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Looks at every photograph.
     pub(super) fn look_at_all(&self, photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
-        on_few_threads(|| photographs.par_iter().map(|one| self.look_at(one)).collect())
+        let all = photographs.par_iter().enumerate();
+        on_few_threads(|| all.map(|(index, one)| self.look_at(index, one)).collect())
     }
 
     fn header(&self, entry: &Entry) -> Result<Header, ImageError> {
@@ -122,13 +140,30 @@ impl<'a> Eyes<'a> {
         watched(self.tell, entry, work)
     }
 
-    /// The picture, small, once there is memory to decode it.
-    fn small(&self, entry: &Entry, header: &Header) -> Result<Image<Srgb>, ImageError> {
+    /// The picture, small, once there is memory to decode it, and the prepared one.
+    fn small(
+        &self,
+        entry: &Entry,
+        header: &Header,
+        file: impl FnOnce(&Preparation) -> PathBuf,
+    ) -> Result<(Image<Srgb>, Option<PreparedImage>), ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
-        watched(self.tell, entry, || Image::load_at_most(&entry.file, ASSESSED_SIDE))
+        let Some(preparation) = self.preparation else {
+            let small =
+                watched(self.tell, entry, || Image::load_at_most(&entry.file, ASSESSED_SIDE));
+            return Ok((small?, None));
+        };
+        let decode = || Image::load_light(&entry.file, preparation.side);
+        let image = watched(self.tell, entry, decode)?;
+        let (width, height) = image.size_at_most(ASSESSED_SIDE);
+        let small = image.resize_area(width, height).to_srgb();
+        let prepared = PreparedImage::write(&image, file(preparation)).map_err(|error| {
+            self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+        });
+        Ok((small, prepared.ok()))
     }
 
-    fn look_at(&self, entry: &Entry) -> Result<Seen, Fault> {
+    fn look_at(&self, index: usize, entry: &Entry) -> Result<Seen, Fault> {
         if let Some(bytes) = entry.too_large {
             let unread = Unread::named(Path::new(entry.path.name())).map(ImageError::Unread);
             return Err(unread.unwrap_or(ImageError::TooManyBytes { bytes }).into());
@@ -142,7 +177,8 @@ impl<'a> Eyes<'a> {
                 header.width, header.height
             ));
         }
-        let small = match self.small(entry, &header) {
+        let file = |preparation: &Preparation| preparation.file(index, false);
+        let (small, prepared) = match self.small(entry, &header, file) {
             Ok(small) => small,
             Err(error) => {
                 return Err(Fault { header: Some(header), ..Fault::from(error) });
@@ -160,26 +196,29 @@ impl<'a> Eyes<'a> {
         }
         let sharpness = sharpness(&small);
         let (picture, print) = (*blake3::hash(&bytes).as_bytes(), Print::of(&small));
-        Ok(Seen { header, picture, print, mean_v, sharpness })
+        Ok(Seen { header, picture, print, mean_v, sharpness, prepared })
     }
 
-    /// Which views have ground truth among `find`'s, and whether it has a view's proportions,
+    /// Which views have ground truth among `find`'s; prepared where it has a view's proportions,
     /// within 1 %, and is whole: a broken one must show now, not when the scene is measured.
     pub(super) fn truths<'b>(
         &self,
         views: &[CaptureView],
         find: impl Fn(&CaptureView) -> Option<&'b Entry> + Sync,
-    ) -> Vec<Option<(&'b Entry, bool)>> {
-        let look = |view| find(view).map(|entry| (entry, self.is_truth_of(view, entry)));
-        on_few_threads(|| views.par_iter().map(look).collect())
+    ) -> Vec<Option<Option<PreparedImage>>> {
+        let look = |(index, view)| find(view).map(|entry| self.truth(index, view, entry));
+        on_few_threads(|| views.par_iter().enumerate().map(look).collect())
     }
 
-    fn is_truth_of(&self, view: &CaptureView, entry: &Entry) -> bool {
-        let Ok(header) = self.header(entry) else {
-            return false;
-        };
+    fn truth(&self, index: usize, view: &CaptureView, entry: &Entry) -> Option<PreparedImage> {
+        let header = self.header(entry).ok()?;
         let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
-        (ratio - 1.0).abs() < 0.01 && self.small(entry, &header).is_ok()
+        if (ratio - 1.0).abs() >= 0.01 {
+            return None;
+        }
+        let file = |preparation: &Preparation| preparation.file(index, true);
+        let (_, prepared) = self.small(entry, &header, file).ok()?;
+        Some(prepared.unwrap_or_else(PreparedImage::none))
     }
 }
 
@@ -193,7 +232,7 @@ fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) 
 }
 
 /// Runs parallel work on so few threads that decoded photographs stay within bounds.
-pub(super) fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+pub fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
         Ok(pool) => pool.install(work),
         // No threads of its own to be had: the shared ones do it.

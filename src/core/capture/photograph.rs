@@ -8,15 +8,19 @@ use crate::image::Shot;
 use crate::mask::Masking;
 use crate::photo_path::PhotoPath;
 
+use super::prepared::PreparedImage;
+
 /// One accepted photograph.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureView {
     /// Our own name: letters, digits, `-`, `_`, at most 40, unique also where case is ignored.
     pub name: String,
     /// The owner's path below the folder of the photographs, never a path of ours.
     pub path: PhotoPath,
-    /// Where it lies.
+    /// The original, for its header alone.
     pub file: PathBuf,
+    /// What the pipeline reads in its place.
+    pub prepared: PreparedImage,
     /// Width of the upright photograph, px.
     pub width: usize,
     /// Height of the upright photograph, px.
@@ -26,7 +30,7 @@ pub struct CaptureView {
     /// How it was exposed, from EXIF.
     pub shot: Option<Shot>,
     /// Its sharp ground truth.
-    pub gt: Option<PathBuf>,
+    pub gt: Option<PreparedImage>,
     /// Its mask.
     pub masking: Option<Masking>,
 }
@@ -43,7 +47,7 @@ pub struct Assessment {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
     /// Whether its format is known but not read (HEIC, raw): HTTP 415 rather than 422.
-    #[serde(default, skip)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unsupported_format: bool,
     /// Width of the upright photograph, px; 0 when it could not be read.
     pub width: usize,

@@ -3,6 +3,7 @@
 mod masks;
 mod places;
 mod poses;
+mod prepared;
 mod watched;
 mod zips;
 
@@ -61,11 +62,11 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let scratch = folder.path().join("scratch");
     fs::create_dir(&scratch).expect("made");
     let outcome = Capture::open(&path, &scratch);
-    let left = entries::of_folder(folder.path())
-        .expect("listed")
-        .into_iter()
-        .map(|e| e.path.as_str().into())
-        .collect();
+    let is_prepared = |path: &&PhotoPath| path.as_str().starts_with("scratch/prepared/");
+    let left = entries::of_folder(folder.path()).expect("listed");
+    let left = left.iter().map(|entry| &entry.path);
+    let left = left.filter(|path| outcome.is_err() || !is_prepared(path));
+    let left = left.map(|path| path.as_str().into()).collect();
     (outcome, left)
 }
 

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 
 use super::exposure::brightened;
 use crate::cancel::CancelToken;
-use crate::image::{Image, read_header};
+use crate::capture::on_few_threads;
 use crate::mask::Mask;
 use crate::poses::{PoseView, PosesError};
 
@@ -30,7 +30,7 @@ const SAME_LENS: f64 = 1.05;
 pub(super) enum Kind {
     /// Brightened, and brought down to [`SMALL_SIDE`].
     Small,
-    /// Brightened, at full size.
+    /// Brightened, of the prepared image's size.
     Full,
     /// Small, as bright as they are.
     Plain,
@@ -72,7 +72,7 @@ impl Copies {
             .iter()
             .enumerate()
             .map(|(index, view)| Copy::planned(index, view, kind))
-            .collect::<Result<Vec<_>, _>>()?;
+            .collect::<Vec<_>>();
         let share = |(copy, view): (&Copy, &PoseView)| {
             let longest = copy.original.0.max(copy.original.1) as f64;
             view.focal_px.map(|focal| focal / longest)
@@ -97,7 +97,7 @@ impl Copies {
             cancel.check()?;
             copy.write(dir, view, kind)
         });
-        let masks: Vec<Option<Mask>> = written.collect::<Result<_, PosesError>>()?;
+        let masks = on_few_threads(|| written.collect::<Result<Vec<Option<Mask>>, PosesError>>())?;
         let written = Self {
             dir: dir.to_owned(),
             copies,
@@ -138,7 +138,7 @@ impl Copies {
 
     /// Whether full-size copies would be no different.
     pub fn are_full_size(&self) -> bool {
-        self.copies.iter().all(|copy| copy.size == copy.original)
+        self.copies.iter().all(|copy| copy.original.0.max(copy.original.1) <= LARGEST_SMALL_SIDE)
     }
 
     /// The focal length of the copies, px, where one camera took them and EXIF tells.
@@ -174,28 +174,26 @@ fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
 }
 
 impl Copy {
-    fn planned(index: usize, view: &PoseView, kind: Kind) -> Result<Self, PosesError> {
-        let header =
-            read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
-        let original = (header.width, header.height);
+    fn planned(index: usize, view: &PoseView, kind: Kind) -> Self {
+        let original = view.original;
         let longest = original.0.max(original.1);
         let size = if kind != Kind::Full && longest > LARGEST_SMALL_SIDE {
             let scaled =
                 |side: usize| (side as f64 * SMALL_SIDE as f64 / longest as f64).round().max(1.0);
             (scaled(original.0) as usize, scaled(original.1) as usize)
         } else {
-            original
+            (view.prepared.width, view.prepared.height)
         };
         // Our own name: nothing of the user's reaches a command line or a list file.
-        Ok(Self { file: format!("v{index:05}.png"), original, size })
+        Self { file: format!("v{index:05}.png"), original, size }
     }
 
     /// Writes the copy; returns its mask.
     fn write(&self, dir: &Path, view: &PoseView, kind: Kind) -> Result<Option<Mask>, PosesError> {
         let unreadable =
             |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
-        let image = Image::load_at_most(&view.file, self.size.0.max(self.size.1))
-            .map_err(|e| unreadable(&e))?;
+        let image = view.prepared.load_at_most(self.size.0.max(self.size.1));
+        let image = image.map_err(|e| unreadable(&e))?;
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;

@@ -9,6 +9,7 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use super::*;
+use crate::capture::PreparedImage;
 use crate::event::{Event, Silent};
 use crate::image::{Image, Srgb};
 use crate::mask::{MaskPicture, Masking};
@@ -55,10 +56,14 @@ impl Scene {
         image.data_mut().fill(0.1);
         let file = dir.path().join("photograph.png");
         image.save(&file).unwrap();
+        let prepared = PreparedImage::write(&image.to_linear(), file.with_extension("half"));
+        let prepared = prepared.unwrap();
         let view = |i| PoseView {
             name: format!("view{i}"),
             path: PhotoPath::default(),
             file: file.clone(),
+            prepared: prepared.clone(),
+            original: (48, 32),
             focal_px: None,
             masking: None,
         };

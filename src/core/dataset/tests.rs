@@ -6,6 +6,7 @@ use glam::{DMat4, DVec3};
 
 use super::*;
 use crate::camera::Intrinsics;
+use crate::capture::PreparedImage;
 use crate::event::{Event, Silent};
 use crate::image::{Image, Srgb};
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
@@ -53,10 +54,13 @@ fn capture() -> Capture {
     let views = (0..4).map(|i| {
         let file = dir.path().join(format!("{}.png", name(i)));
         image.save(&file).unwrap();
+        let prepared = PreparedImage::write(&image.to_linear(), file.with_extension("half"));
         PoseView {
             name: name(i),
             path: PhotoPath::new(&format!("{}.png", name(i))),
             file,
+            prepared: prepared.unwrap(),
+            original: (40, 30),
             focal_px: None,
             masking: None,
         }

@@ -25,8 +25,8 @@ use self::heic::Heic;
 use super::hdr::HdrTransfer;
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
-use super::transfer::{linear_to_srgb, srgb_to_linear};
-use super::{Image, Shot, Srgb, exif};
+use super::transfer::srgb_to_linear;
+use super::{Image, Linear, Shot, Srgb, exif};
 
 pub use self::error::{ImageError, MAX_FILE_BYTES, MAX_PIXELS};
 
@@ -88,19 +88,25 @@ impl Image<Srgb> {
     /// # Errors
     /// As [`Image::load`].
     pub fn load_at_most(path: &Path, long_side: usize) -> Result<Self, ImageError> {
+        Ok(Image::load_light(path, long_side)?.to_srgb())
+    }
+}
+
+impl Image<Linear> {
+    /// As [`Image::load_at_most`], in linear light.
+    ///
+    /// # Errors
+    /// As [`Image::load`].
+    pub fn load_light(path: &Path, long_side: usize) -> Result<Self, ImageError> {
         let samples = Samples::decode(path)?;
         let from = (samples.width, samples.height);
         let (width, height) = at_most(from.0, from.1, long_side.max(1));
-        let shrinks = (width, height) != from;
-        let table = if shrinks { samples.table(srgb_to_linear) } else { samples.table(|v| v) };
+        let table = samples.table(srgb_to_linear);
         let average = AreaAverage::new(from, (width, height));
         let mut image = Self::new(width, height);
         for channel in 0..3 {
             let row = |y: usize, buffer: &mut [f32]| samples.row(channel, y, &table, buffer);
             average.plane(from.0, row, image.plane_mut(channel));
-        }
-        if shrinks {
-            image.data_mut().iter_mut().for_each(|v| *v = linear_to_srgb(*v));
         }
         Ok(image)
     }
@@ -252,6 +258,8 @@ enum Values {
 
 impl Samples {
     fn decode(path: &Path) -> Result<Self, ImageError> {
+        #[cfg(test)]
+        DECODED.lock().expect("unpoisoned").push(path.to_owned());
         guarded(|| {
             let opened = Opened::open(path)?;
             if opened.is_jpeg {
@@ -359,6 +367,11 @@ fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, Image
     catch_unwind(AssertUnwindSafe(decode))
         .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))
 }
+
+/// The files that were decoded.
+#[cfg(test)]
+pub(crate) static DECODED: std::sync::Mutex<Vec<std::path::PathBuf>> =
+    std::sync::Mutex::new(Vec::new());
 
 #[cfg(test)]
 mod tests;

@@ -2,6 +2,7 @@
 
 use exif::{Exif, In, Reader, Tag, Value};
 use image::metadata::Orientation;
+use serde::{Deserialize, Serialize};
 
 /// What begins a block in a JPEG, and is no part of it.
 const PREFIX: &[u8] = b"Exif\0\0";
@@ -70,7 +71,7 @@ fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64>
 }
 
 /// How a photograph was exposed.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
     /// Exposure time, s.
     pub seconds: f64,

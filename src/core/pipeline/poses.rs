@@ -244,6 +244,8 @@ pub fn pose_view(view: &CaptureView) -> PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
         file: view.file.clone(),
+        prepared: view.prepared.clone(),
+        original: (view.width, view.height),
         focal_px: view.focal_px,
         masking: view.masking.clone(),
     }

@@ -12,8 +12,8 @@ use super::workspace::Workspace;
 use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, NamedCamera, Split};
 use crate::cancel::CancelToken;
-use crate::capture::{Capture, CaptureView};
-use crate::image::Image;
+use crate::capture::{Capture, CaptureView, PreparedImage, on_few_threads};
+use crate::image::{Image, Linear};
 use crate::mask::{Mask, counted};
 use crate::poses::{PosedView, Poses};
 use crate::run_folder::RoundPictures;
@@ -162,23 +162,18 @@ fn read(
         });
     }
     leave_enough(&splits)?;
-    poses
-        .views
-        .par_iter()
-        .zip(splits)
-        .map(|(posed, split)| {
-            cancel.check()?;
-            let photograph =
-                capture.views.iter().find(|view| view.name == posed.name).ok_or_else(|| {
-                    let message = format!(
-                        "the poses name a view `{}` that is not in the capture",
-                        posed.name
-                    );
-                    OptionsError { key: "pose_source".to_owned(), message }
-                })?;
-            view(photograph, posed, split, options.longest_side() as usize)
-        })
-        .collect()
+    let posed = poses.views.par_iter().zip(splits);
+    let read = posed.map(|(posed, split)| {
+        cancel.check()?;
+        let photograph =
+            capture.views.iter().find(|view| view.name == posed.name).ok_or_else(|| {
+                let message =
+                    format!("the poses name a view `{}` that is not in the capture", posed.name);
+                OptionsError { key: "pose_source".to_owned(), message }
+            })?;
+        view(photograph, posed, split, options.longest_side() as usize)
+    });
+    on_few_threads(|| read.collect())
 }
 
 /// A photograph as seen by its pose's pinhole camera, at working size.
@@ -191,17 +186,16 @@ pub fn view(
     split: Split,
     size: usize,
 ) -> Result<View, PipelineError> {
-    let load = |path: &std::path::Path| {
-        Image::load(path)
-            .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
+    let (width, height) = working_size(photograph.width, photograph.height, size);
+    let load = |prepared: &PreparedImage| {
+        let image = prepared.load().map_err(|source| {
+            let name = posed.name.clone();
+            PipelineError::Photograph { name, source }
+        })?;
+        Ok::<_, PipelineError>(resample(&posed.undistort(&image), width, height).to_srgb())
     };
-    let original = load(&photograph.file)?;
-    let (width, height) = working_size(original.width(), original.height(), size);
-    let dark = resample(&posed.undistort(&original), width, height);
-    let gt = match &photograph.gt {
-        Some(path) => Some(resample(&posed.undistort(&load(path)?), width, height)),
-        None => None,
-    };
+    let dark = load(&photograph.prepared)?;
+    let gt = photograph.gt.as_ref().map(load).transpose()?;
     let mask = match &photograph.masking {
         Some(masking) => Some(
             masking
@@ -232,12 +226,12 @@ pub fn working_size(width: usize, height: usize, size: usize) -> (usize, usize) 
     (side(width), side(height))
 }
 
-/// Resizes by averaging in linear light, where light is additive.
-fn resample(image: &Image, width: usize, height: usize) -> Image {
+/// Resizes by averaging light.
+fn resample(image: &Image<Linear>, width: usize, height: usize) -> Image<Linear> {
     if (image.width(), image.height()) == (width, height) {
         return image.clone();
     }
-    image.to_linear().resize_area(width, height).to_srgb()
+    image.resize_area(width, height)
 }
 
 /// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. For

@@ -6,7 +6,7 @@ use glam::{DQuat, DVec3};
 
 use super::*;
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
-use fled_core::capture::CaptureView;
+use fled_core::capture::{CaptureView, PreparedImage};
 use fled_core::gaussians::Gaussians;
 use fled_core::photo_path::PhotoPath;
 use fled_core::poses::align::Similarity;
@@ -73,11 +73,14 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         let camera = named.camera();
         let photograph = renderer.render_scene(&scene, &moved(index, &camera));
         let file = folder.join(format!("{}.png", named.name));
-        photograph.expect("renders").save(&file).expect("saves");
+        let photograph = photograph.expect("renders");
+        photograph.save(&file).expect("saves");
+        let prepared = PreparedImage::write(&photograph.to_linear(), file.with_extension("half"));
         let view = CaptureView {
             name: named.name.clone(),
             path: PhotoPath::new(&format!("{}.png", named.name)),
             file,
+            prepared: prepared.expect("written"),
             width: SIZE[0],
             height: SIZE[1],
             focal_px: None,

@@ -1,6 +1,8 @@
 //! The real COLMAP on real photographs, where both are there.
 
 use super::*;
+use crate::capture::Capture;
+use crate::pipeline::poses::pose_view;
 use crate::poses::align;
 use crate::poses::model::SparseModel;
 
@@ -54,21 +56,9 @@ fn register(name: &str) {
     if !capture.is_dir() {
         return;
     }
-    let mut files: Vec<PathBuf> = std::fs::read_dir(capture.join("images"))
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
-    files.sort();
-    let views: Vec<PoseView> = files
-        .iter()
-        .map(|file| PoseView {
-            name: stem(file),
-            path: PhotoPath::default(),
-            file: file.clone(),
-            focal_px: None,
-            masking: None,
-        })
-        .collect();
+    let scratch = tempfile::tempdir().unwrap();
+    let opened = Capture::open(&capture, scratch.path()).unwrap();
+    let views: Vec<PoseView> = opened.views.iter().map(pose_view).collect();
     let mut faults = Vec::new();
     while faults.len() < ATTEMPTS {
         match attempt(&capture, &views) {

@@ -380,8 +380,7 @@ fn names_may_hold_dots_and_lack_an_extension() {
             name: format!("scan_{i}"),
             path: PhotoPath::new(&format!("images/scan.{i}.png")),
             file,
-            focal_px: None,
-            masking: None,
+            ..view.clone()
         }
     });
     let views: Vec<PoseView> = dotted.collect();

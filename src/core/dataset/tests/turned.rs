@@ -8,6 +8,7 @@ use proptest::prelude::*;
 use super::super::*;
 use super::{flipped, told};
 use crate::camera::Intrinsics;
+use crate::capture::{PREPARED_SIDE, PreparedImage};
 use crate::image::{Image, exif_block};
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::{ModelCamera, ModelImage, ModelPoint};
@@ -63,10 +64,14 @@ impl Stored {
             let file = dir.path().join(format!("{name}.png"));
             let orientation = orientations[index % orientations.len()];
             write_png(&file, orientation, size, &vec![90; size.0 * size.1]);
+            let image = Image::load_light(&file, PREPARED_SIDE).unwrap();
+            let prepared = PreparedImage::write(&image, file.with_extension("half")).unwrap();
             PoseView {
                 path: PhotoPath::new(&format!("{name}.png")),
                 name,
                 file,
+                original: (prepared.width, prepared.height),
+                prepared,
                 focal_px: None,
                 masking: None,
             }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::image::exif::tests::block;
+use crate::image::linear_to_srgb;
 use ::exif::{Tag, Value};
 use image::{ExtendedColorType, ImageEncoder};
 use std::fs;
@@ -260,5 +261,5 @@ fn shrinking_while_reading_averages_light_not_code_values() {
     let image = Image::load_at_most(&path, 1).expect("read");
     assert!(close(image.get(0, 0), [linear_to_srgb(0.5); 3]), "{:?}", image.get(0, 0));
     let same = Image::load_at_most(&path, 100).expect("read");
-    assert_eq!(same, Image::load(&path).expect("read"));
+    assert!(close(same.get(1, 0), [1.0; 3]) && close(same.get(0, 0), [0.0; 3]), "{same:?}");
 }

@@ -10,7 +10,7 @@ use crate::camera::{Camera, Split};
 use crate::capture::CaptureView;
 use crate::colmap::brightened;
 use crate::event::Stage;
-use crate::image::{EncodeFormat, Image, read_header};
+use crate::image::{EncodeFormat, Image};
 use crate::mask::Mask;
 use crate::pipeline::config::Options;
 use crate::pipeline::context::{Advance, Context};
@@ -125,9 +125,6 @@ impl Scene<'_> {
     /// The photograph undistorted with the lens of a posed one of the same size, of the most
     /// similar focal length if EXIF records one.
     fn query(&self, photograph: &CaptureView) -> Result<Option<Query>, PipelineError> {
-        let unreadable =
-            |source| PipelineError::Photograph { name: photograph.name.clone(), source };
-        let header = read_header(&photograph.file).map_err(unreadable)?;
         let focal_of = |posed: &PosedView| {
             let views = &self.finished.capture.views;
             views.iter().find(|view| view.name == posed.name)?.focal_px
@@ -138,7 +135,7 @@ impl Scene<'_> {
         };
         let fits = |posed: &&PosedView| {
             let Lens { intrinsics, .. } = posed.lens;
-            (intrinsics.width, intrinsics.height) == (header.width, header.height)
+            (intrinsics.width, intrinsics.height) == (photograph.width, photograph.height)
         };
         let same_size = self.finished.poses.views.iter().filter(fits);
         let Some(other) = same_size.min_by(|a, b| unlike(a).total_cmp(&unlike(b))) else {

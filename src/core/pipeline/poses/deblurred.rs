@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use super::request::ask;
 use crate::camera::Camera;
+use crate::capture::PreparedImage;
 use crate::deblur::Restorer;
-use crate::image::{EncodeFormat, Image, ImageError, read_header};
+use crate::image::{Image, ImageError};
 use crate::pipeline::config::Options;
 use crate::pipeline::context::Context;
 use crate::pipeline::dependencies::PosesDependencies;
@@ -56,7 +57,7 @@ pub fn poses(
 
 fn brightened(views: &[PoseView], options: &Options) -> Result<Vec<Image>, PipelineError> {
     let load = |view: &PoseView| {
-        Image::load_at_most(&view.file, LONGEST_SIDE).map_err(|source| unreadable(view, source))
+        view.prepared.load_at_most(LONGEST_SIDE).map_err(|source| unreadable(view, source))
     };
     let dark = views.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     let dark: Vec<&Image> = dark.iter().collect();
@@ -77,14 +78,15 @@ fn copy(
         let message = format!("{}: {warning}", view.name);
         context.sink.warn("poses", message);
     }
-    let bytes = deblurred.encode(EncodeFormat::Png).map_err(|source| unreadable(view, source))?;
-    context.workspace.write(&file, &bytes)?;
-    let (original_width, _) = upright_size(view)?;
-    let scale = image.width() as f64 / original_width as f64;
+    let scale = image.width() as f64 / view.original.0 as f64;
+    let prepared = PreparedImage::write(&deblurred.to_linear(), file.with_extension("half"));
+    let prepared = prepared.map_err(|source| PipelineError::Io { path: file.clone(), source })?;
     Ok(PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
-        file,
+        file: view.file.clone(),
+        original: (prepared.width, prepared.height),
+        prepared,
         focal_px: view.focal_px.map(|focal| focal * scale),
         masking: view.masking.clone(),
     })
@@ -94,15 +96,10 @@ fn at_original_size(posed: PosedView, views: &[PoseView]) -> Result<PosedView, P
     let Some(view) = views.iter().find(|view| view.name == posed.name) else {
         return Ok(posed);
     };
-    let (width, height) = upright_size(view)?;
+    let (width, height) = view.original;
     let lens = Lens { intrinsics: posed.lens.intrinsics.resized(width, height), ..posed.lens };
     let camera = Camera { intrinsics: lens.pinhole(), ..posed.camera };
     Ok(PosedView { camera, lens, ..posed })
-}
-
-fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
-    let header = read_header(&view.file).map_err(|source| unreadable(view, source))?;
-    Ok((header.width, header.height))
 }
 
 fn unreadable(view: &PoseView, source: ImageError) -> PipelineError {

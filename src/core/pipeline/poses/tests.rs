@@ -3,6 +3,7 @@ use std::cell::RefCell;
 use super::*;
 use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
+use crate::capture::PreparedImage;
 use crate::deblur::{DeblurError, Identity, Restorer, RestorerInfo};
 use crate::event::{Event, Silent};
 use crate::image::Image;
@@ -27,7 +28,7 @@ impl Sfm for NeedsLight {
         let mut found = Poses { total: count, ..placed(count, false, 'A') };
         let mut darkest = f32::INFINITY;
         for view in request.views {
-            let image = Image::load(&view.file).expect("a photograph");
+            let image = view.prepared.load_at_most(usize::MAX).expect("an image");
             let mean = image.data().iter().sum::<f32>() / image.data().len() as f32;
             darkest = darkest.min(mean);
             self.0.borrow_mut().push((image.width(), mean));
@@ -226,6 +227,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         name: "cam0_b".to_owned(),
         path: PhotoPath::new("cam0/b.jpg"),
         file: PathBuf::new(),
+        prepared: PreparedImage::none(),
         width: 96,
         height: 64,
         focal_px: None,

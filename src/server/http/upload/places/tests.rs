@@ -8,6 +8,7 @@ use fled_core::capture::Capture;
 use fled_core::dataset::GivenPoses;
 use fled_core::event::Silent;
 use fled_core::image::{EncodeFormat, Image, Srgb};
+use fled_core::pipeline::poses::pose_view;
 use fled_core::poses::model::SparseModel;
 use fled_core::poses::{PoseRequest, PoseView, Poses, PosesError, Sfm};
 use glam::DVec3;
@@ -116,14 +117,7 @@ fn model(
 }
 
 fn given(capture: &Capture) -> Result<Poses, PosesError> {
-    let view = |view: &fled_core::capture::CaptureView| PoseView {
-        name: view.name.clone(),
-        path: view.path.clone(),
-        file: view.file.clone(),
-        focal_px: None,
-        masking: None,
-    };
-    let views: Vec<PoseView> = capture.views.iter().map(view).collect();
+    let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
     let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0 };
     let file = capture.poses.as_ref().expect("poses");
     let given = GivenPoses::open(file.path(), &capture.photographs)?;

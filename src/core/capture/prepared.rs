@@ -1,0 +1,183 @@
+//! Prepared images: what the pipeline reads in place of photographs.
+//!
+//! A photograph is decoded once, when its capture is opened, and kept as linear light at no more
+//! than [`PREPARED_SIDE`] px. A file is two little-endian `u32` (width and height, px) and three
+//! planes of half floats: nothing to compress in noise, no encoder to wait for, and light below
+//! black or above white has a place. Half floats err by 2^-12 of a value, a tenth of a level of 8
+//! bits at most.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use serde::{Deserialize, Serialize};
+
+use super::{Capture, CaptureView};
+use crate::image::{Image, ImageError, Linear, Srgb, write_atomic};
+
+/// Longest side of prepared images, px, unless a run works on larger ones.
+pub const PREPARED_SIDE: usize = 2_048;
+
+/// Raised when prepared images of equal photographs change.
+const VERSION: u32 = 1;
+
+/// Bytes before the planes.
+const HEADER: usize = 8;
+
+/// A photograph, upright, in linear light of sRGB primaries; 1 is the file's white.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PreparedImage {
+    file: PathBuf,
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+}
+
+impl PreparedImage {
+    /// Writes an image to `file`.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub fn write(image: &Image<Linear>, file: PathBuf) -> io::Result<Self> {
+        let mut bytes = Vec::with_capacity(HEADER + 2 * image.data().len());
+        for length in [image.width(), image.height()] {
+            bytes.extend((length as u32).to_le_bytes());
+        }
+        let mut halves = vec![f16::ZERO; image.width()];
+        for row in image.data().chunks(image.width()) {
+            halves.convert_from_f32_slice(row);
+            bytes.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
+        }
+        fs::write(&file, bytes)?;
+        Ok(Self { file, width: image.width(), height: image.height() })
+    }
+
+    /// Reads the image at its own size.
+    ///
+    /// # Errors
+    /// [`ImageError::Io`]; [`ImageError::Damaged`] for a file of another size.
+    pub fn load(&self) -> Result<Image<Linear>, ImageError> {
+        let io = |source| ImageError::Io { path: self.file.clone(), source };
+        let bytes = fs::read(&self.file).map_err(io)?;
+        let mut image = Image::new(self.width, self.height);
+        if bytes.len() != HEADER + 2 * image.data().len() {
+            let message = format!("{} is not a whole prepared image", self.file.display());
+            return Err(ImageError::Damaged { message });
+        }
+        let mut halves = vec![f16::ZERO; self.width];
+        let rows = bytes[HEADER..].chunks_exact(2 * self.width);
+        for (row, bytes) in image.data_mut().chunks_exact_mut(self.width).zip(rows) {
+            for (half, bytes) in halves.iter_mut().zip(bytes.chunks_exact(2)) {
+                *half = f16::from_le_bytes([bytes[0], bytes[1]]);
+            }
+            halves.convert_to_f32_slice(row);
+        }
+        Ok(image)
+    }
+
+    /// Reads the image with its longest side brought down to `side` px, encoded as sRGB. Never
+    /// enlarges.
+    ///
+    /// # Errors
+    /// As [`PreparedImage::load`].
+    pub fn load_at_most(&self, side: usize) -> Result<Image<Srgb>, ImageError> {
+        let image = self.load()?;
+        let (width, height) = image.size_at_most(side);
+        Ok(if (width, height) == (self.width, self.height) {
+            image.to_srgb()
+        } else {
+            image.resize_area(width, height).to_srgb()
+        })
+    }
+
+    /// Stands for an image that was not kept.
+    pub(crate) fn none() -> Self {
+        Self { file: PathBuf::new(), width: 0, height: 0 }
+    }
+
+    /// Whether the file has the size of the image.
+    fn is_whole(&self) -> bool {
+        let bytes = (HEADER + 6 * self.width * self.height) as u64;
+        self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
+    }
+
+    pub(super) fn remove(&self) {
+        // One that stays is in nobody's way.
+        let _ = fs::remove_file(&self.file);
+    }
+}
+
+/// Where a capture's images are prepared, and how large.
+#[derive(Clone, Debug)]
+pub(super) struct Preparation {
+    pub(super) folder: PathBuf,
+    pub(super) side: usize,
+}
+
+/// What `manifest.json` holds: a prepared capture, and what it was made of.
+#[derive(Serialize, Deserialize)]
+struct Manifest {
+    version: u32,
+    side: usize,
+    /// The folder or archive that was opened.
+    source: PathBuf,
+    capture: Capture,
+}
+
+impl Preparation {
+    pub(super) fn new(scratch: &Path, side: usize) -> Self {
+        Self { folder: scratch.join("prepared"), side }
+    }
+
+    /// The file of the image of photograph `index`, or of its ground truth.
+    pub(super) fn file(&self, index: usize, is_truth: bool) -> PathBuf {
+        let kind = if is_truth { "truth" } else { "view" };
+        self.folder.join(format!("{kind}-{index:05}.half"))
+    }
+
+    /// The capture as it was prepared before, if it was, from the same photographs.
+    pub(super) fn before(&self, source: &Path, fingerprint: &str) -> Option<Capture> {
+        let bytes = fs::read(self.manifest()).ok()?;
+        let manifest: Manifest = serde_json::from_slice(&bytes).ok()?;
+        let Manifest { version, side, source: of, capture } = manifest;
+        let is_same = (version, side, &*of, &*capture.fingerprint)
+            == (VERSION, self.side, source, fingerprint);
+        let is_whole = |view: &CaptureView| {
+            view.prepared.is_whole() && view.gt.as_ref().is_none_or(PreparedImage::is_whole)
+        };
+        (is_same && capture.views.iter().all(is_whole)).then_some(capture)
+    }
+
+    /// Begins anew.
+    pub(super) fn begin(&self) -> io::Result<()> {
+        match fs::remove_dir_all(&self.folder) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        fs::create_dir_all(&self.folder)
+    }
+
+    /// Removes what was written.
+    pub(super) fn abandon(&self) {
+        // The error that led here is the one worth reporting.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+
+    /// Keeps a capture whose images are all prepared.
+    pub(super) fn keep(&self, source: &Path, capture: &Capture) -> io::Result<()> {
+        let manifest = Manifest {
+            version: VERSION,
+            side: self.side,
+            source: source.to_owned(),
+            capture: capture.clone(),
+        };
+        write_atomic(&self.manifest(), &serde_json::to_vec(&manifest)?)
+    }
+
+    fn manifest(&self) -> PathBuf {
+        self.folder.join("manifest.json")
+    }
+}
