@@ -12,9 +12,9 @@ mod context;
 mod deblur;
 mod deliver;
 mod dependencies;
+mod effective;
 mod enhance;
 mod evaluate;
-mod explained;
 mod exposures;
 mod guide;
 mod late_views;
@@ -31,6 +31,7 @@ mod run;
 mod shaken;
 mod tone;
 mod tools;
+mod training_images;
 pub mod views;
 
 pub mod config;

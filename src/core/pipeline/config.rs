@@ -296,12 +296,12 @@ fn paper(standard: Options) -> Options {
 }
 
 impl Options {
-    /// Whether a view trains as enhanced, not as deblurred. Differs from the paper where a kernel
-    /// explains the view's shake: the blur that a network leaves, and the halos that it adds, do
-    /// not form a kernel, and deblurring and a kernel sharpen twice.
-    pub fn trains_on_enhanced(&self, explained: bool) -> bool {
+    /// Whether a view trains as enhanced, not as deblurred. Differs from the paper for a view with
+    /// a kernel: the blur that a network leaves, and the halos that it adds, do not form a kernel,
+    /// and deblurring and a kernel sharpen twice.
+    pub fn trains_on_enhanced(&self, has_kernel: bool) -> bool {
         match self.train_on {
-            TrainOn::Auto => explained,
+            TrainOn::Auto => has_kernel,
             TrainOn::Deblurred => false,
             TrainOn::Enhanced => true,
         }

@@ -80,7 +80,7 @@ pub struct Predecessor<'a> {
 
 /// The inputs of a round's training.
 #[derive(Clone, Copy)]
-pub struct Material<'a> {
+pub struct TrainingData<'a> {
     /// The round, with its response from light to values.
     pub round: &'a Round,
     /// All views, with their cameras and splits.
@@ -88,7 +88,7 @@ pub struct Material<'a> {
     /// H_i, D_i or their mean (`train_on`), in the order of the views.
     pub images: &'a [Image],
     /// Which views have a kernel, in the same order.
-    pub explained: &'a [bool],
+    pub with_kernel: &'a [bool],
     /// H_i, for the live scores.
     pub enhanced: &'a [Image],
     /// The response from light to values at the target brightness, for the live scores.
@@ -107,13 +107,13 @@ pub struct Material<'a> {
 pub fn reconstruct(
     context: &mut Context<'_>,
     device: &Device,
-    material: &Material<'_>,
+    data: &TrainingData<'_>,
     depends_on: &Dependencies,
 ) -> Result<TrainedScene, PipelineError> {
-    let number = material.round.number;
+    let number = data.round.number;
     let folder = context.workspace.folder().round(number);
     let (scene_file, facts) = (folder.scene(), folder.training());
-    let normalisation = &material.poses.normalisation;
+    let normalisation = &data.poses.normalisation;
     let load = |workspace: &Workspace| {
         let training: Training = workspace.read_json(&facts)?;
         let gaussians = ply::read(&scene_file).ok()?.gaussians;
@@ -124,10 +124,10 @@ pub fn reconstruct(
     };
     let mut is_trained = false;
     let make = |context: &mut Context<'_>| {
-        let config = train_config(material, depends_on.options());
-        let start = train_start(context, material, &config, depends_on)?;
-        let trained = train(context, device, material, start, &config, depends_on)?;
-        let scene = with_cameras(context, device, material, trained, &config)?;
+        let config = train_config(data, depends_on.options());
+        let start = train_start(context, data, &config, depends_on)?;
+        let trained = train(context, device, data, start, &config, depends_on)?;
+        let scene = with_cameras(context, device, data, trained, &config)?;
         context.workspace.make_folder(folder.root())?;
         ply::write(&scene.gaussians, normalisation, &scene_file)?;
         let in_world = |camera: &Camera| normalisation.in_world(camera);
@@ -151,16 +151,16 @@ pub fn reconstruct(
     Ok(scene)
 }
 
-fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
-    let round = material.round;
-    let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
-    let points = points::as_given(material.poses);
-    let training = material.views.iter().zip(material.explained);
+fn train_config(data: &TrainingData<'_>, options: &Options) -> TrainConfig {
+    let round = data.round;
+    let cameras: Vec<Camera> = data.views.iter().map(|view| view.camera).collect();
+    let points = points::as_given(data.poses);
+    let training = data.views.iter().zip(data.with_kernel);
     let shaken =
-        training.filter(|(view, _)| view.split == Split::Train).any(|(_, explained)| *explained);
+        training.filter(|(view, _)| view.split == Split::Train).any(|(_, has_kernel)| *has_kernel);
     let extent = match options.schedule {
         Pace::Adapted => reconstruct::scene_extent(&cameras, &points),
-        Pace::Published => reconstruct::camera_extent(&training_cameras(material.views)),
+        Pace::Published => reconstruct::camera_extent(&training_cameras(data.views)),
     };
     TrainConfig {
         steps: options.steps_per_round(),
@@ -186,25 +186,25 @@ fn training_cameras(views: &[View]) -> Vec<Camera> {
 /// Starts from the checkpoint of an interrupted training, the previous scene, or the points.
 fn train_start(
     context: &mut Context<'_>,
-    material: &Material<'_>,
+    data: &TrainingData<'_>,
     config: &TrainConfig,
     depends_on: &Dependencies,
 ) -> Result<TrainStart, PipelineError> {
-    if let Some(checkpoint) = checkpoint::read(context, material.round.number, depends_on) {
+    if let Some(checkpoint) = checkpoint::read(context, data.round.number, depends_on) {
         return Ok(TrainStart::Resume(checkpoint));
     }
     let options = depends_on.options();
-    if let (Start::Warm, Some(before)) = (options.start, material.before) {
+    if let (Start::Warm, Some(before)) = (options.start, data.before) {
         let mut gaussians = before.gaussians.clone();
         let curve = before.to_next.scene();
         gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
         return Ok(TrainStart::Fresh(gaussians));
     }
-    let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
-    let pictures = material.views.iter().zip(material.images);
+    let cameras: Vec<Camera> = data.views.iter().map(|view| view.camera).collect();
+    let pictures = data.views.iter().zip(data.images);
     let training = pictures.filter(|(view, _)| view.split == Split::Train);
     let seen = training.map(|(view, image)| (&view.camera, image, view.mask.as_ref()));
-    let points = points::coloured(material.poses, seen);
+    let points = points::coloured(data.poses, seen);
     let (cap, schedule) = (config.cap, config.schedule());
     let first = reconstruct::initialise(&points, &cameras, cap, &schedule);
     Ok(TrainStart::Fresh(first))
@@ -214,17 +214,17 @@ fn train_start(
 fn train(
     context: &mut Context<'_>,
     device: &Device,
-    material: &Material<'_>,
+    data: &TrainingData<'_>,
     start: TrainStart,
     config: &TrainConfig,
     depends_on: &Dependencies,
 ) -> Result<Trained, PipelineError> {
-    let number = material.round.number;
-    let views = training_views(material, Split::Train);
+    let number = data.round.number;
+    let views = training_views(data, Split::Train);
     let cancel = context.cancel;
     let work = context.workspace.folder().work();
     let picture = work.live_picture();
-    let mut watch = Watch::new(&watched(material), config.steps);
+    let mut watch = Watch::new(&watched(data), config.steps);
     // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
@@ -271,13 +271,8 @@ fn train(
     Ok(trained)
 }
 
-fn watched<'a>(material: &Material<'a>) -> Watched<'a> {
-    Watched {
-        round: material.round,
-        views: material.views,
-        enhanced: material.enhanced,
-        target: material.target,
-    }
+fn watched<'a>(data: &TrainingData<'a>) -> Watched<'a> {
+    Watched { round: data.round, views: data.views, enhanced: data.enhanced, target: data.target }
 }
 
 fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
@@ -295,11 +290,11 @@ fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
 fn with_cameras(
     context: &Context<'_>,
     device: &Device,
-    material: &Material<'_>,
+    data: &TrainingData<'_>,
     trained: Trained,
     config: &TrainConfig,
 ) -> Result<TrainedScene, PipelineError> {
-    let held_out = training_views(material, Split::HeldOut);
+    let held_out = training_views(data, Split::HeldOut);
     let registered = match config.refine_poses {
         Some(depth) if !held_out.is_empty() => {
             let shake = config.shake.as_ref();
@@ -316,8 +311,8 @@ fn with_cameras(
         };
         *found.unwrap_or(&view.camera)
     };
-    let cameras: Vec<Camera> = material.views.iter().map(camera_after).collect();
-    let pose_correction_px = correction_px(material.views, &cameras, config.refine_poses);
+    let cameras: Vec<Camera> = data.views.iter().map(camera_after).collect();
+    let pose_correction_px = correction_px(data.views, &cameras, config.refine_poses);
     let seconds = trained.seconds.max(1e-9);
     let training = Training {
         steps: trained.steps,
@@ -334,12 +329,11 @@ fn with_cameras(
 }
 
 /// The views of one split with their training images.
-fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
-    material
-        .views
+fn training_views(data: &TrainingData<'_>, split: Split) -> Vec<TrainingView> {
+    data.views
         .iter()
-        .zip(material.images)
-        .zip(material.explained)
+        .zip(data.images)
+        .zip(data.with_kernel)
         .filter(|((view, _), _)| view.split == split)
         .map(|((view, image), &has_kernel)| TrainingView {
             has_kernel,

@@ -1,31 +1,32 @@
 //! Algorithm 1.
 
-use super::config::{Options, Setting};
+use super::config::Options;
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
-use super::dependencies::{Levels, RoundDependencies, RunDependencies};
+use super::dependencies::{RoundDependencies, RunDependencies};
+use super::effective::Effective;
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
-use super::explained::{self, explained, trained_on, training_images};
 use super::exposures::{self, Exposures};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::{By, History, Plan, Teller};
 use super::poses::{poses, publish};
-use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
+use super::reconstruct::{Predecessor, TrainedScene, TrainingData, reconstruct};
 use super::render::render;
 use super::report;
 use super::shaken::{self, Shaken};
 use super::tools::Tools;
+use super::training_images::{self, trained_on, training_images};
 use super::views::{self, View};
 use super::workspace::Workspace;
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
-use crate::metrics::{CaptureShake, Report};
+use crate::metrics::Report;
 use crate::poses::Poses;
 use crate::poses::matching::Matching;
 
@@ -36,8 +37,8 @@ pub struct Outcome {
     pub report: Report,
 }
 
-/// The results that a round hands to the next.
-struct Handover {
+/// The results of a round that the next one uses.
+struct RoundOutput {
     /// P_R, H_{i+1} and HR.
     next: Next,
     /// V_i.
@@ -46,7 +47,7 @@ struct Handover {
     depends_on: RoundDependencies,
 }
 
-impl Handover {
+impl RoundOutput {
     fn new(next: Next, scene: TrainedScene, depends_on: RoundDependencies) -> Self {
         Self { next, scene, depends_on }
     }
@@ -100,38 +101,37 @@ pub fn run(
         exposures::find(context, tools.device, options, capture, &poses, &views)?;
     report.exposure = found;
     exposures.even(&mut views);
-    let shaken = None;
-    let asked = Asked { capture, options, shaken };
-    let mut state = RoundState::new(context, asked, tools, poses, views, exposures)?;
+    let before_verdict = Effective::of(options, None);
+    let request = Request { capture, effective: &before_verdict };
+    let mut state = RoundState::new(context, request, tools, poses, views, exposures)?;
     let on = &state.depends_on;
     let (views, brightening) = (&state.views, &state.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
-    let size = shaken.as_ref().map_or(options.longest_side(), |shaken| shaken.size(options));
-    let in_effect = shaken::in_effect(options, report.capture_shake, size);
-    report::change(&mut report, options, &in_effect);
-    let asked = Asked { capture, options: &in_effect, shaken: shaken.as_ref() };
-    let rounds = if asked.is_one_round() { 1 } else { options.round_count() };
+    let effective = &Effective::of(options, shaken.as_ref());
+    let in_effect = &effective.options;
+    report::change(&mut report, options, in_effect);
+    let request = Request { capture, effective };
     context.sink.event(&Event::Planned {
-        rounds,
+        rounds: effective.rounds(),
         views: state.views.len() as u32,
         shake: report.capture_shake,
         size: Some(in_effect.longest_side()),
     });
     let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
-        state.views = views::load(context, capture, &state.poses, &in_effect)?;
+        state.views = views::load(context, capture, &state.poses, in_effect)?;
         state.exposures.even(&mut state.views);
     }
-    if asked.is_still() || is_smaller {
+    if effective.levels != before_verdict.levels || is_smaller {
         let RoundState { poses, views, exposures, .. } = state;
-        state = RoundState::new(context, asked, tools, poses, views, exposures)?;
+        state = RoundState::new(context, request, tools, poses, views, exposures)?;
     }
-    let mut before: Option<Handover> = None;
+    let mut before: Option<RoundOutput> = None;
     for index in 0..in_effect.round_count() as usize {
-        let turn = Turn { asked, index, before: before.as_ref() };
-        before = round(context, tools, turn, &mut state, &mut report)?;
+        let input = RoundInput { request, index, before: before.as_ref() };
+        before = round(context, tools, input, &mut state, &mut report)?;
         if before.is_none() {
             break;
         }
@@ -140,38 +140,23 @@ pub fn run(
     Ok(Outcome { report })
 }
 
-/// The request: a capture, options, and the verdict on its shake.
+/// A capture, and what its rounds do.
 #[derive(Clone, Copy)]
-struct Asked<'a> {
+struct Request<'a> {
     capture: &'a Capture,
-    options: &'a Options,
-    /// The views found shaken, if that decides anything.
-    shaken: Option<&'a Shaken>,
-}
-
-impl Asked<'_> {
-    /// Whether the rounds are plain splatting at the target brightness.
-    fn is_still(&self) -> bool {
-        self.shaken.map(Shaken::verdict) == Some(CaptureShake::Still)
-    }
-
-    /// Whether another round follows only if the previous one placed a photograph or showed that a
-    /// view has a wrong pose.
-    fn is_one_round(&self) -> bool {
-        self.is_still() && self.options.rounds == Setting::Auto
-    }
+    effective: &'a Effective,
 }
 
 /// One round of a request, and the round before it.
 #[derive(Clone, Copy)]
-struct Turn<'a> {
-    asked: Asked<'a>,
+struct RoundInput<'a> {
+    request: Request<'a>,
     /// 0-based.
     index: usize,
-    before: Option<&'a Handover>,
+    before: Option<&'a RoundOutput>,
 }
 
-/// Runs one round; returns the handover to the next, which may have another state.
+/// Runs one round; returns its results for the next, which may have another state.
 #[expect(
     clippy::too_many_lines,
     reason = "a round of Algorithm 1, a call a stage: split it shows less"
@@ -179,42 +164,44 @@ struct Turn<'a> {
 fn round(
     context: &mut Context<'_>,
     tools: &mut Tools<'_>,
-    turn: Turn<'_>,
+    input: RoundInput<'_>,
     state: &mut RoundState,
     report: &mut Report,
-) -> Result<Option<Handover>, PipelineError> {
-    let (asked, before) = (turn.asked, turn.before);
+) -> Result<Option<RoundOutput>, PipelineError> {
+    let (request, before) = (input.request, input.before);
+    let (capture, effective) = (request.capture, request.effective);
+    let options = &effective.options;
     let (poses, views, brightening) = (&state.poses, &mut state.views, &state.brightening);
-    let round = &brightening.rounds[turn.index];
+    let round = &brightening.rounds[input.index];
     let on = state.depends_on.round(round.number, before.map(|before| &before.depends_on));
     let brightened = before.map(|before| before.next.enhanced.clone());
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
         views,
         enhanced: &enhanced,
-        guides: before.filter(|_| on.is_guided).map(Handover::guides), // HR
+        guides: before.filter(|_| on.is_guided).map(RoundOutput::guides), // HR
     };
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
     let known = report.rounds.last().map(|before| &before.views[..]);
-    let explained = explained(asked.options, views, asked.shaken, known);
-    let trained = trained_on(asked.options, round, views, &explained, [&enhanced, &deblurred]);
-    explained::tell(context, round.number, views, &explained, &trained);
+    let with_kernel = effective.kernels(views, known);
+    let trained = trained_on(options, round, views, &with_kernel, [&enhanced, &deblurred]);
+    training_images::report(context, round.number, views, &with_kernel, &trained);
     let images = training_images(&trained, &enhanced, &deblurred, &round.response);
-    let material = Material {
+    let data = TrainingData {
         round,
         views,
         images: &images,
-        explained: &explained,
+        with_kernel: &with_kernel,
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
-        before: before.map(Handover::predecessor), // V_{i-1}
+        before: before.map(RoundOutput::predecessor), // V_{i-1}
     };
-    let scene = reconstruct(context, tools.device, &material, &on.reconstruct)?; // V_i
+    let scene = reconstruct(context, tools.device, &data, &on.reconstruct)?; // V_i
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i
-    let next = if asked.is_one_round() {
+    let next = if effective.is_single {
         None
     } else {
         match_brightness(context, round, &renders, views, brightening, &on.matching)? // P_R
@@ -222,21 +209,21 @@ fn round(
     let finished = Finished {
         round,
         views,
-        unregistered: &views::unregistered(asked.capture, poses),
+        unregistered: &views::unregistered(capture, poses),
         images: RoundImages::new(&enhanced, &deblurred, &renders),
         scene: &scene,
         next: next.as_ref(),
         normalisation: &poses.normalisation,
-        deliver: asked.options.deliver,
+        deliver: options.deliver,
     };
     let metrics = evaluate(context, &finished, brightening, &report.rounds)?;
     publish(context.workspace, &with_fits(poses, &metrics))?;
-    report::add_round(context, report, metrics, asked.options.deliver)?;
-    if turn.index + 1 == asked.options.round_count() as usize {
+    report::add_round(context, report, metrics, options.deliver)?;
+    if input.index + 1 == options.round_count() as usize {
         return Ok(None);
     }
     let finished = FinishedRound {
-        capture: asked.capture,
+        capture,
         poses,
         round,
         views,
@@ -244,37 +231,38 @@ fn round(
         scene: &scene,
         metrics: report.rounds.last().expect("the round was added"),
     };
-    let Some((poses, mut views)) = join(context, asked, tools, &finished, &on, &state.depends_on)?
+    let Some((poses, mut views)) =
+        join(context, options, tools, &finished, &on, &state.depends_on)?
     else {
-        return Ok(next.map(|next| Handover::new(next, scene, on)));
+        return Ok(next.map(|next| RoundOutput::new(next, scene, on)));
     };
     report::place(report, &poses);
     let exposures = &mut state.exposures;
-    let late = exposures.even_late(tools.device, &scene.gaussians, &mut views, asked.capture)?;
+    let late = exposures.even_late(tools.device, &scene.gaussians, &mut views, capture)?;
     if let Some(found) = &mut report.exposure {
         found.views.extend(late);
     }
     let exposures = std::mem::take(exposures);
     context.sink.event(&Event::Planned {
-        rounds: asked.options.round_count(),
+        rounds: options.round_count(),
         views: views.len() as u32,
         shake: report.capture_shake,
-        size: Some(asked.options.longest_side()),
+        size: Some(options.longest_side()),
     });
-    *state = RoundState::new(context, asked, tools, poses, views, exposures)?;
-    state.hand_over(context, tools, turn.index, scene, on)
+    *state = RoundState::new(context, request, tools, poses, views, exposures)?;
+    state.output(context, tools, input.index, scene, on)
 }
 
 /// The poses and views of the next rounds, if the round's scene changes them.
 fn join(
     context: &mut Context<'_>,
-    asked: Asked<'_>,
+    options: &Options,
     tools: &Tools<'_>,
     finished: &FinishedRound<'_>,
     on: &RoundDependencies,
     depends_on: &RunDependencies,
 ) -> Result<Option<(Poses, Vec<View>)>, PipelineError> {
-    if !asked.options.late_views {
+    if !options.late_views {
         return Ok(None);
     }
     let by = tools.matching.map(Matching::describe).unwrap_or_default();
@@ -282,7 +270,7 @@ fn join(
     let Some(poses) = late_views(context, tools, finished, &on)? else {
         return Ok(None);
     };
-    let size = asked.options.longest_side() as usize;
+    let size = options.longest_side() as usize;
     let views = changed_views(context, finished, &poses, size)?;
     Ok(Some((poses, views)))
 }
@@ -291,33 +279,33 @@ impl RoundState {
     /// The inputs of rounds over these views.
     fn new(
         context: &mut Context<'_>,
-        asked: Asked<'_>,
+        request: Request<'_>,
         tools: &mut Tools<'_>,
         poses: Poses,
         views: Vec<View>,
         exposures: Exposures,
     ) -> Result<Self, PipelineError> {
-        let depends_on = RunDependencies::of(asked.options, asked.capture, &poses, tools);
-        let depends_on =
-            depends_on.with_levels(if asked.is_still() { Levels::Target } else { Levels::Rising });
+        let Request { capture, effective } = request;
+        let depends_on = RunDependencies::of(&effective.options, capture, &poses, tools);
+        let depends_on = depends_on.with_levels(effective.levels);
         let brightening = enhance::plan(context, &views, &depends_on, tools)?;
         Ok(Self { poses, depends_on, views, brightening, exposures })
     }
 
-    /// The handover to the next round, remade over these views.
-    fn hand_over(
+    /// The results of a round, made again over these views.
+    fn output(
         &self,
         context: &mut Context<'_>,
         tools: &Tools<'_>,
         index: usize,
         scene: TrainedScene,
         on: RoundDependencies,
-    ) -> Result<Option<Handover>, PipelineError> {
+    ) -> Result<Option<RoundOutput>, PipelineError> {
         let Self { views, brightening, .. } = self;
         let round = &brightening.rounds[index];
         let renders = render(context, tools.device, round, views, &scene.gaussians)?;
         let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?;
-        Ok(next.map(|next| Handover::new(next, scene, on)))
+        Ok(next.map(|next| RoundOutput::new(next, scene, on)))
     }
 }
 

@@ -54,7 +54,7 @@ fn significances(
 }
 
 /// For each view, whether deblurring removed a significant shake.
-pub fn told(
+pub fn lost_shake(
     enhanced: &[Image],
     deblurred: &[Image],
     masks: &[Option<&Mask>],
@@ -66,7 +66,7 @@ pub fn told(
 
 /// Whether the options require a verdict before the rounds: only where both the kernels and the
 /// network depend on it.
-pub fn asks(options: &Options) -> bool {
+pub fn is_needed(options: &Options) -> bool {
     options.shake == ShakeModel::Late
         && options.train_on == TrainOn::Auto
         && options.deblur != NetworkChoice::Identity
@@ -75,7 +75,7 @@ pub fn asks(options: &Options) -> bool {
 /// The views found shaken, of those with a pose.
 #[derive(Clone, Debug)]
 pub struct Shaken {
-    told: BTreeSet<String>,
+    names: BTreeSet<String>,
     verdict: CaptureShake,
     is_strong: bool,
     /// Longest side of all views, px; below the option for small photographs.
@@ -86,22 +86,22 @@ impl Shaken {
     /// `views` are names and the significance of their shake.
     pub fn of<'a>(views: impl Iterator<Item = (&'a str, f64)>) -> Self {
         let views: Vec<_> = views.collect();
-        let told = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
-        let told: BTreeSet<_> = told.map(|(name, _)| (*name).to_owned()).collect();
+        let shaken = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
+        let names: BTreeSet<_> = shaken.map(|(name, _)| (*name).to_owned()).collect();
         let middle = middle(views.iter().map(|(_, ratio)| *ratio).collect());
         let is_shaken =
-            told.len() as f64 >= SHAKEN_SHARE * views.len() as f64 || middle >= SOFT_FROM;
+            names.len() as f64 >= SHAKEN_SHARE * views.len() as f64 || middle >= SOFT_FROM;
         let verdict = if is_shaken { CaptureShake::Shaken } else { CaptureShake::Still };
-        Self { told, verdict, is_strong: false, longest: u32::MAX }
+        Self { names, verdict, is_strong: false, longest: u32::MAX }
     }
 
-    /// Whether this view is shaken.
-    pub fn tells(&self, view: &View) -> bool {
-        self.told.contains(&view.name)
+    /// Names of the shaken views.
+    pub fn names(&self) -> BTreeSet<String> {
+        self.names.clone()
     }
 
     pub fn count(&self) -> u32 {
-        self.told.len() as u32
+        self.names.len() as u32
     }
 
     pub fn verdict(&self) -> CaptureShake {
@@ -134,7 +134,7 @@ pub fn shaken(
     brightening: &Brightening,
     depends_on: &RunDependencies,
 ) -> Result<Option<Shaken>, PipelineError> {
-    if !asks(options) {
+    if !is_needed(options) {
         return Ok(None);
     }
     let restoration = Restoration {
@@ -159,8 +159,8 @@ pub fn shaken(
             context.sink.warn(Stage::Deblur.name(), warning);
         }
     }
-    let told = format!("{} of {} views are shaken", shaken.count(), views.len());
-    let done = match shaken.verdict() {
+    let found = format!("{} of {} views are shaken", shaken.count(), views.len());
+    let consequence = match shaken.verdict() {
         CaptureShake::Still => "plain splatting, cameras as found".to_owned(),
         CaptureShake::Shaken => format!(
             "from the second round on, blur kernels model the shake of views whose renders show \
@@ -168,7 +168,7 @@ pub fn shaken(
             shaken.size(options)
         ),
     };
-    context.sink.log(format!("{told}: {done}"));
+    context.sink.log(format!("{found}: {consequence}"));
     Ok(Some(shaken))
 }
 
@@ -192,37 +192,6 @@ fn is_strong(
     let masks = vec![None; enhanced.len()];
     let significances = significances(&enhanced, &deblurred, &masks, response);
     Ok(middle(significances) >= STRONG_FROM)
-}
-
-/// The options in effect for the rounds, whose working images have `size`.
-///
-/// A still capture is splatted plainly, in one round with the steps of all unless the options say
-/// otherwise. Its cameras stay as found: correcting them costs one museum capture 0.3 to 0.6 dB and
-/// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, the images of a strongly shaken
-/// capture are smaller, with as many Gaussians a pixel.
-pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
-    let mut options = options.clone();
-    match verdict {
-        Some(CaptureShake::Still) => {
-            options.refine_poses = false;
-            if options.rounds == Setting::Auto && options.steps == Setting::Auto {
-                let all = options.steps_per_round() * options.round_count();
-                options.steps = Setting::Given(all);
-            }
-        }
-        Some(CaptureShake::Shaken) => {
-            let area = (f64::from(size) / f64::from(options.longest_side())).powi(2);
-            if size != options.longest_side() && options.cap == Setting::Auto {
-                let cap = (f64::from(options.most_gaussians()) * area).round();
-                options.cap = Setting::Given(cap as u32);
-            }
-            if size != options.longest_side() {
-                options.size = Setting::Given(size);
-            }
-        }
-        None => {}
-    }
-    options
 }
 
 #[cfg(test)]
@@ -261,24 +230,6 @@ mod tests {
     }
 
     #[test]
-    fn shake_decides_the_rounds_of_a_capture() {
-        let options = Options::default();
-        let still = in_effect(&options, Some(CaptureShake::Still), 560);
-        assert!(!still.refine_poses);
-        assert_eq!((still.rounds, still.steps), (Setting::Auto, Setting::Given(2_000)));
-        let set = Options { rounds: Setting::Given(3), ..options.clone() };
-        let obeyed = in_effect(&set, Some(CaptureShake::Still), 560);
-        assert_eq!((obeyed.rounds, obeyed.steps), (set.rounds, set.steps));
-        let set = Options { steps: Setting::Given(70), ..options.clone() };
-        assert_eq!(in_effect(&set, Some(CaptureShake::Still), 560).steps, set.steps);
-        let small =
-            Options { size: Setting::Given(420), cap: Setting::Given(16_875), ..options.clone() };
-        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 420), small);
-        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 560), options);
-        assert_eq!(in_effect(&options, None, 560), options);
-    }
-
-    #[test]
     fn only_a_size_left_open_shrinks_with_strong_shake() {
         let sizes = |is_strong| {
             let shaken = Shaken { is_strong, ..of(&[1.5]) };
@@ -289,9 +240,6 @@ mod tests {
         assert_eq!(sizes(true), [280, 420, 1120]);
         let small = Shaken { longest: 400, is_strong: true, ..of(&[1.5]) };
         assert_eq!(small.size(&Options::default()), 560, "its images stay as they are");
-        let options = Options { cap: Setting::Given(50_000), ..Options::default() };
-        let effect = in_effect(&options, Some(CaptureShake::Shaken), 420);
-        assert_eq!(effect.cap, options.cap, "a number that was set stays");
     }
 
     #[test]
@@ -319,7 +267,7 @@ mod tests {
         let asked = |change: fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);
-            asks(&options)
+            is_needed(&options)
         };
         assert!(asked(|_| {}));
         assert!(!asked(|options| options.shake = ShakeModel::Kernel));

@@ -30,12 +30,11 @@ pub enum TrainOn {
 }
 
 impl ShakeModel {
-    /// Whether a kernel explains the shake of a view. `tells`: whether the view was found shaken
-    /// before the round.
-    pub fn explains(self, tells: bool) -> bool {
+    /// Whether a view has a kernel, by whether it was found shaken before the round.
+    pub fn has_kernel(self, is_shaken: bool) -> bool {
         match self {
             Self::Kernel => true,
-            Self::Late => tells,
+            Self::Late => is_shaken,
             Self::Off => false,
         }
     }

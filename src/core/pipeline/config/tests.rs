@@ -17,8 +17,8 @@ fn views_with_a_kernel_train_as_enhanced_by_default() {
 
 #[test]
 fn late_kernels_are_for_views_found_shaken() {
-    assert!(ShakeModel::Late.explains(true) && !ShakeModel::Late.explains(false));
-    assert!(ShakeModel::Kernel.explains(false) && !ShakeModel::Off.explains(true));
+    assert!(ShakeModel::Late.has_kernel(true) && !ShakeModel::Late.has_kernel(false));
+    assert!(ShakeModel::Kernel.has_kernel(false) && !ShakeModel::Off.has_kernel(true));
 }
 
 #[test]

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::event::Stage;
 use crate::metrics::CaptureShake;
 use crate::pipeline::config::{NoiseMode, Options, Pace, Start};
+use crate::pipeline::effective::in_effect;
 use crate::pipeline::shaken;
 use crate::pipeline::views::HELD_OUT_FROM;
 use crate::reconstruct::{CORRECTIONS, Schedule};
@@ -110,7 +111,7 @@ impl Job {
         (self.rounds, self.views) = (rounds, f64::from(views));
         if shake.is_some() {
             let before = self.options.longest_side();
-            self.options = shaken::in_effect(&self.asked, shake, size.unwrap_or(before));
+            self.options = in_effect(&self.asked, shake, size.unwrap_or(before));
             self.megapixels *= (f64::from(self.options.longest_side()) / f64::from(before)).powi(2);
         }
     }
@@ -145,7 +146,7 @@ impl Job {
         if self.asked.enhance.is_network() {
             stages.push((0, Stage::Enhance));
         }
-        if shaken::asks(&self.asked) {
+        if shaken::is_needed(&self.asked) {
             stages.push((0, Stage::Deblur));
         }
         for round in 1..=self.rounds {
@@ -246,9 +247,9 @@ impl Job {
     /// Views with a kernel in a round.
     fn kernels_of(&self, round: u32) -> f64 {
         let training = self.views * (1.0 - self.held_out());
-        let expected = if self.options.shake.explains(false) {
+        let expected = if self.options.shake.has_kernel(false) {
             training
-        } else if round == 1 || !self.options.shake.explains(true) {
+        } else if round == 1 || !self.options.shake.has_kernel(true) {
             0.0
         } else {
             self.kernels.unwrap_or(KERNELS * training)

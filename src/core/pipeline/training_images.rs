@@ -1,36 +1,16 @@
-//! Chooses which views of a round train with a kernel, and on which image each trains.
+//! The images on which the views of a round train.
 
 use rayon::prelude::*;
 
 use super::config::{Options, ShakeModel, TrainOn};
 use super::context::Context;
 use super::round::Round;
-use super::shaken::{self, Shaken};
+use super::shaken;
 use super::views::{View, masks};
 use crate::camera::Split;
 use crate::deblur::NetworkChoice;
 use crate::image::Image;
-use crate::metrics::report::{CaptureShake, ViewScore};
 use crate::shake::{Response, denoised};
-
-/// For each view in order, whether a kernel explains its shake in a round. `shaken` was found
-/// before the rounds; `before` are the scores of the previous round's renders.
-pub fn explained(
-    options: &Options,
-    views: &[View],
-    shaken: Option<&Shaken>,
-    before: Option<&[ViewScore]>,
-) -> Vec<bool> {
-    let tells = |view: &View| match before {
-        Some(before) => {
-            let row = before.iter().find(|row| row.name == view.name);
-            row.and_then(|row| row.is_shaken).unwrap_or(false)
-        }
-        None => shaken
-            .is_some_and(|shaken| shaken.verdict() == CaptureShake::Still && shaken.tells(view)),
-    };
-    views.iter().map(|view| options.shake.explains(tells(view))).collect()
-}
 
 /// The image on which a view trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,22 +32,23 @@ pub fn trained_on(
     options: &Options,
     round: &Round,
     views: &[View],
-    explained: &[bool],
+    with_kernel: &[bool],
     [enhanced, deblurred]: [&[Image]; 2],
 ) -> Vec<TrainedOn> {
     let is_earned = options.shake == ShakeModel::Late && options.train_on == TrainOn::Auto;
-    let told = is_earned.then(|| shaken::told(enhanced, deblurred, &masks(views), &round.response));
+    let lost =
+        is_earned.then(|| shaken::lost_shake(enhanced, deblurred, &masks(views), &round.response));
     let is_denoised = is_earned && options.deblur != NetworkChoice::Identity;
-    let of = |(index, &explained): (usize, &bool)| {
-        if options.trains_on_enhanced(explained) {
+    let of = |(index, &has_kernel): (usize, &bool)| {
+        if options.trains_on_enhanced(has_kernel) {
             if is_denoised { TrainedOn::Denoised } else { TrainedOn::Enhanced }
-        } else if told.as_ref().is_none_or(|told| told[index]) {
+        } else if lost.as_ref().is_none_or(|lost| lost[index]) {
             TrainedOn::Deblurred
         } else {
             TrainedOn::Mean
         }
     };
-    explained.iter().enumerate().map(of).collect()
+    with_kernel.iter().enumerate().map(of).collect()
 }
 
 /// The training images of the views, encoded by the round's `response`.
@@ -95,11 +76,11 @@ fn mean(one: &Image, other: &Image) -> Image {
 }
 
 /// Reports on which images the views train.
-pub fn tell(
+pub fn report(
     context: &mut Context<'_>,
     round: u32,
     views: &[View],
-    explained: &[bool],
+    with_kernel: &[bool],
     trained_on: &[TrainedOn],
 ) {
     let trained = |index: &usize| views[*index].split == Split::Train;
@@ -109,7 +90,7 @@ pub fn tell(
         "{} views train, {} of them through a kernel of their shake: {} enhanced, {} denoised, {} \
          deblurred, and {} as the mean of enhanced and deblurred",
         trained.len(),
-        trained.iter().filter(|&&i| explained[i]).count(),
+        trained.iter().filter(|&&i| with_kernel[i]).count(),
         on(TrainedOn::Enhanced),
         on(TrainedOn::Denoised),
         on(TrainedOn::Deblurred),
@@ -119,7 +100,7 @@ pub fn tell(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics};
     use crate::enhance::Anchor;
@@ -147,7 +128,7 @@ mod tests {
         shaken_image(image, &kernel, &Response::srgb())
     }
 
-    fn view(name: &str) -> View {
+    pub(in crate::pipeline) fn view(name: &str) -> View {
         let intrinsics =
             Intrinsics { width: 200, height: 160, fx: 200.0, fy: 200.0, cx: 100.0, cy: 80.0 };
         View {
@@ -162,34 +143,6 @@ mod tests {
     }
 
     #[test]
-    fn a_few_shaken_views_have_kernels_then_those_that_renders_show() {
-        let options = Options::default();
-        let views = ["a", "b", "c", "d", "e"].map(view);
-        let told = |names: &[&str]| {
-            let ratio = |view: &View| f64::from(u8::from(names.contains(&&view.name[..])));
-            Shaken::of(views.iter().map(|view| (&view.name[..], ratio(view))))
-        };
-        let first = |names: &[&str]| explained(&options, &views, Some(&told(names)), None);
-        assert_eq!(first(&["b"]), [false, true, false, false, false]);
-        assert_eq!(first(&["a", "b"]), [false; 5], "no sharp scene to find them in");
-        let score = |name: &str, is_shaken| ViewScore {
-            name: name.to_owned(),
-            registered: true,
-            split: Some(Split::Train),
-            reference: None,
-            psnr_db: None,
-            psnr_cc_db: None,
-            ssim: None,
-            shake_px: None,
-            is_shaken: Some(is_shaken),
-            fit: None,
-        };
-        let before = [score("c", true), score("a", false)];
-        let later = explained(&options, &views, Some(&told(&["b"])), Some(&before));
-        assert_eq!(later, [false, false, true, false, false]);
-    }
-
-    #[test]
     fn views_train_deblurred_where_shake_was_removed_else_as_mean() {
         use TrainedOn::{Deblurred, Denoised, Enhanced, Mean};
         let dark = sharp();
@@ -197,8 +150,8 @@ mod tests {
         let round = Round::new(1, anchor, Tone::fit(LutScope::Scene, &[&dark], &[anchor]));
         let (enhanced, deblurred) = ([along_x(&sharp()), sharp()], [sharp(), sharp()]);
         let views = [view("a"), view("b")];
-        let of = |options: &Options, explained: [bool; 2]| {
-            trained_on(options, &round, &views, &explained, [&enhanced, &deblurred])
+        let of = |options: &Options, with_kernel: [bool; 2]| {
+            trained_on(options, &round, &views, &with_kernel, [&enhanced, &deblurred])
         };
         let auto = Options::default();
         assert_eq!(of(&auto, [false, false]), [Deblurred, Mean]);
