@@ -43,8 +43,8 @@ const SQUARE: usize = 8;
 const LEFT_OUT: u64 = 10;
 /// Views with EXIF, and the correlation of its exposures with the solved ones, from which it is a
 /// prior.
-const LEAST_EXIF: usize = 6;
-const LEAST_CORRELATION: f64 = 0.5;
+const MIN_EXIF: usize = 6;
+const MIN_CORRELATION: f64 = 0.5;
 
 /// The gains of the views, by name; none for views in the neutral exposure.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -361,7 +361,7 @@ fn slope(small: &Small<'_>, gains: &[Gains], exif: &[f64]) -> Option<f64> {
     let sum = |of: fn((f64, f64)) -> f64| pairs.clone().map(of).sum::<f64>();
     let (squares, products) = (sum(|(x, _)| x * x), sum(|(x, y)| x * y));
     let correlation = products / (squares * sum(|(_, y)| y * y)).sqrt();
-    let is_told = pairs.clone().count() >= LEAST_EXIF && correlation >= LEAST_CORRELATION;
+    let is_told = pairs.clone().count() >= MIN_EXIF && correlation >= MIN_CORRELATION;
     is_told.then(|| products / squares)
 }
 

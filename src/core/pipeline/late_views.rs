@@ -13,7 +13,7 @@ use super::error::PipelineError;
 use super::evaluate::likenesses;
 use super::poses::publish;
 use super::tools::Tools;
-use super::views::{self, LEAST_VIEWS, View};
+use super::views::{self, MIN_VIEWS, View};
 use crate::camera::Split;
 use crate::capture::{Capture, CaptureView};
 use crate::event::Stage;
@@ -30,7 +30,7 @@ use place::{Placed, Scene, place};
 const BELONGS_FROM: f64 = 0.5;
 
 /// A scene with a lower median fit is too poor to judge views.
-const LEAST_MIDDLE_FIT: f64 = 0.7;
+const MIN_MIDDLE_FIT: f64 = 0.7;
 
 /// Runs the stage: the poses of the next rounds; `None` if they do not change.
 ///
@@ -95,7 +95,7 @@ impl Judgement {
         let mut fits: Vec<f64> = rows().map(|(fit, _)| fit).collect();
         fits.sort_by(f64::total_cmp);
         let middle = fits.get(fits.len() / 2).copied();
-        let middle = middle.filter(|middle| *middle >= LEAST_MIDDLE_FIT)?;
+        let middle = middle.filter(|middle| *middle >= MIN_MIDDLE_FIT)?;
         let least = BELONGS_FROM * middle;
         let mut training: Vec<(f64, &String)> = rows()
             .filter(|(_, row)| row.split == Some(Split::Train))
@@ -103,7 +103,7 @@ impl Judgement {
             .collect();
         training.sort_by(|a, b| a.0.total_cmp(&b.0));
         // Enough views for a scene must remain.
-        let most = training.len().saturating_sub(LEAST_VIEWS);
+        let most = training.len().saturating_sub(MIN_VIEWS);
         let leaving = training.into_iter().take(most);
         Some(Self {
             least,

@@ -2,7 +2,7 @@
 //! runs and in this one.
 
 mod history;
-mod teller;
+mod reporter;
 mod work;
 
 use std::collections::BTreeMap;
@@ -13,7 +13,7 @@ use crate::event::{Event, Stage};
 use crate::metrics::{RoundMetrics, ViewScore};
 use history::Cost;
 pub use history::History;
-pub use teller::Teller;
+pub use reporter::ProgressReporter;
 use work::{Job, Part, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
@@ -21,8 +21,8 @@ const KNOWN_SHARE: f64 = 0.2;
 /// Share of a stage after which the pace of two cores, which may be far from this machine's, no
 /// longer counts.
 const GUESSED_SHARE: f64 = 0.1;
-/// Least rise of the time left within a stage that is told: steps scatter.
-const LEAST_RISE: f64 = 1.3;
+/// Least rise of the time left within a stage that is reported: steps scatter.
+const MIN_RISE: f64 = 1.3;
 
 /// The tools of a run, by the speed of which parts differ.
 #[derive(Clone, Debug, Default)]
@@ -106,7 +106,7 @@ struct Advanced {
 }
 
 impl Plan {
-    /// Plan for `views` photographs, which have so many pixels in all at the size asked for.
+    /// Plan for `views` photographs, with this total of pixels at the size asked for.
     pub fn new(options: &Options, views: usize, pixels: usize, by: By, history: History) -> Self {
         Self {
             job: Job::new(options, views, pixels),
@@ -120,7 +120,7 @@ impl Plan {
         }
     }
 
-    /// Takes an event at a time in seconds; whether progress is to be told.
+    /// Takes an event at a time in seconds; returns whether progress has changed enough to report.
     pub fn take(&mut self, at: f64, event: &Event) -> bool {
         match event {
             Event::Planned { rounds, views, shake, size } => {
@@ -281,7 +281,9 @@ impl Plan {
         };
         let eta = left.map(|left| left + after);
         self.eta = match (self.eta, eta) {
-            (Some(told), Some(eta)) if eta > told && eta < LEAST_RISE * told => Some(told),
+            (Some(reported), Some(eta)) if eta > reported && eta < MIN_RISE * reported => {
+                Some(reported)
+            }
             _ => eta,
         };
     }
@@ -306,7 +308,7 @@ impl Plan {
     }
 
     /// Progress and time left as an event.
-    pub fn told(&self) -> Event {
+    pub fn event(&self) -> Event {
         Event::Progress { progress: self.progress, eta_seconds: self.eta }
     }
 

@@ -1,5 +1,5 @@
-//! Poses, once a job: from whoever finds them, or what an earlier run of the same capture found;
-//! and strategy F: COLMAP's once more, on deblurred photographs.
+//! Poses: found once a job, or taken from an earlier run of the same capture; and strategy F:
+//! COLMAP once more, on deblurred photographs.
 
 mod deblurred;
 mod request;

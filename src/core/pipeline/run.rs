@@ -12,7 +12,7 @@ use super::evaluate::{Finished, RoundImages, evaluate};
 use super::exposures::{self, Exposures};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::{By, History, Plan, Teller};
+use super::plan::{By, History, Plan, ProgressReporter};
 use super::poses::{poses, publish};
 use super::reconstruct::{Predecessor, TrainedScene, TrainingData, reconstruct};
 use super::render::render;
@@ -86,7 +86,7 @@ pub fn run(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
-    let sink = &mut teller(capture, options, tools, workspace, sink);
+    let sink = &mut with_progress(capture, options, tools, workspace, sink);
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
@@ -321,7 +321,7 @@ pub fn find_poses(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
-    let sink = &mut teller(capture, options, tools, workspace, sink);
+    let sink = &mut with_progress(capture, options, tools, workspace, sink);
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     publish(workspace, &poses)?;
@@ -356,13 +356,13 @@ fn begin<'a>(
 }
 
 /// Adds progress and time left to the events of the run.
-fn teller<'a>(
+fn with_progress<'a>(
     capture: &Capture,
     options: &Options,
     tools: &Tools<'_>,
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
-) -> Teller<'a> {
+) -> ProgressReporter<'a> {
     let pixels = |view: &CaptureView| {
         let (width, height) =
             views::working_size(view.width, view.height, options.longest_side() as usize);
@@ -377,5 +377,5 @@ fn teller<'a>(
     };
     let history = History::open(tools.cache.as_deref(), workspace);
     let plan = Plan::new(options, capture.views.len(), pixels, by, history);
-    Teller::new(sink, workspace, plan)
+    ProgressReporter::new(sink, workspace, plan)
 }

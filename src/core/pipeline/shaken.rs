@@ -37,7 +37,7 @@ const STRONG_SIDE: u32 = 420;
 /// The median significance in images of [`STRONG_SIDE`] from which a shake is strong.
 const STRONG_FROM: f64 = 1.25;
 /// Most views that tell whether a shake is strong.
-const MOST_ASKED: usize = 12;
+const MAX_ASKED: usize = 12;
 
 /// For each view, the significance of the kernel from its deblurred image back to it.
 fn significances(
@@ -180,9 +180,9 @@ fn is_strong(
     response: &Response,
     cancel: &CancelToken,
 ) -> Result<bool, PipelineError> {
-    let mut enhanced = Vec::with_capacity(MOST_ASKED);
-    let mut deblurred = Vec::with_capacity(MOST_ASKED);
-    for view in views.iter().step_by(views.len().div_ceil(MOST_ASKED)) {
+    let mut enhanced = Vec::with_capacity(MAX_ASKED);
+    let mut deblurred = Vec::with_capacity(MAX_ASKED);
+    for view in views.iter().step_by(views.len().div_ceil(MAX_ASKED)) {
         cancel.check()?;
         let (width, height) = view.size_at_most(STRONG_SIDE as usize);
         let small = view.resize_area(width, height);

@@ -19,7 +19,7 @@ use crate::poses::{PosedView, Poses};
 use crate::run_folder::RoundPictures;
 
 /// Least number of training views worth a scene.
-pub const LEAST_VIEWS: usize = 3;
+pub const MIN_VIEWS: usize = 3;
 
 /// Number of views from which every 8th is held out by default; the published split.
 pub const HELD_OUT_FROM: usize = 12;
@@ -154,11 +154,11 @@ fn read(
 ) -> Result<Vec<View>, PipelineError> {
     let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
     let splits = splits(&options.held_out, capture.hold, &poses.held_out, &names)?;
-    if names.len() < LEAST_VIEWS {
+    if names.len() < MIN_VIEWS {
         return Err(PipelineError::TooFewViews {
             registered: names.len(),
             views: capture.views.len(),
-            needed: LEAST_VIEWS,
+            needed: MIN_VIEWS,
         });
     }
     leave_enough(&splits)?;
@@ -287,14 +287,14 @@ pub fn splits(
 fn leave_enough(splits: &[Split]) -> Result<(), OptionsError> {
     let trains = |split: &&Split| **split == Split::Train;
     let (training, all) = (splits.iter().filter(trains).count(), splits.len());
-    if training >= LEAST_VIEWS {
+    if training >= MIN_VIEWS {
         return Ok(());
     }
     Err(OptionsError {
         key: "held_out".to_owned(),
         message: format!(
             "{} of {all} photographs with a pose are held out, by it or by lists of the capture, \
-             and {training} are left to train on, fewer than {LEAST_VIEWS}: set it to `none` or to \
+             and {training} are left to train on, fewer than {MIN_VIEWS}: set it to `none` or to \
              fewer names",
             all - training
         ),

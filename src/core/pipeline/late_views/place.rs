@@ -26,10 +26,10 @@ use crate::poses::{Lens, PosedView};
 const NEAR_PX: f64 = 6.0;
 
 /// Least number of agreeing sightings that place a photograph.
-const LEAST_AGREEING: usize = 20;
+const MIN_AGREEING: usize = 20;
 
 /// Most renders that a photograph is compared with, spread over the capture.
-const MOST_RENDERS: usize = 60;
+const MAX_RENDERS: usize = 60;
 
 /// The scene by which photographs are placed.
 #[derive(Clone, Copy)]
@@ -153,7 +153,7 @@ impl Scene<'_> {
             .filter(|&index| !self.leaving.contains(&self.finished.views[index].name))
             .collect();
         // As many pairs as among sixty photographs, but at least eight renders per photograph.
-        let most = (1800 / photographs.max(1)).clamp(8, MOST_RENDERS).min(all.len());
+        let most = (1800 / photographs.max(1)).clamp(8, MAX_RENDERS).min(all.len());
         (0..most).map(|index| all[index * all.len() / most]).collect()
     }
 
@@ -214,7 +214,7 @@ impl Scene<'_> {
         let near = near_px(self.finished.views);
         let found = resect(&k, sightings, near, self.options.seed);
         let agreeing = found.as_ref().map_or(0, |found| found.inliers.len());
-        let Some(found) = found.filter(|_| agreeing >= LEAST_AGREEING) else {
+        let Some(found) = found.filter(|_| agreeing >= MIN_AGREEING) else {
             context.sink.log(format!(
                 "late view {}: {agreeing} of {} points that renders show agree, too few",
                 view.name,

@@ -100,15 +100,16 @@ fn faults(moments: &[Moment], end: f64) -> Vec<String> {
         let room = (WRONG_BY * truth).max(WRONG_BY_SECONDS);
         eta < truth - room || (eta > truth + room && !moment.is_open)
     };
-    let told = |moment: &Moment| {
+    let reported = |moment: &Moment| {
         let Moment { at, stage, round, eta, .. } = moment;
         let truth = end - at;
         format!("{at:.1} s, {stage:?} of round {round}: {eta:.1?} s left, not {truth:.1} s")
     };
-    after.filter(wrong).map(told).collect()
+    after.filter(wrong).map(reported).collect()
 }
 
-/// A run's row of docs/results.md: seconds told / true after shares of the time since its poses.
+/// A run's row of docs/results.md: seconds reported / true, after shares of the time since its
+/// poses.
 fn row(moments: &[Moment], end: f64) -> String {
     let posed = moments.iter().find(|moment| moment.stage != Stage::Poses).expect("a stage").at;
     let cell = |share: f64| {
@@ -232,7 +233,7 @@ fn poses(done: u64, total: u64) -> Event {
 #[test]
 fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
     let begins = Event::StageStarted { stage: Stage::Poses, round: 0 };
-    let told = |history, events: &[(f64, Event)]| {
+    let reported = |history, events: &[(f64, Event)]| {
         let mut plan = fresh(history);
         plan.take(0.0, &begins);
         events.iter().for_each(|(at, event)| {
@@ -241,14 +242,14 @@ fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
         plan.eta
     };
     let counted = [(1.0, poses(1, 78))];
-    assert_eq!(told(History::default(), &counted), None, "no run has shown how long");
-    let left = told(history_of(1.0), &counted).expect("known");
-    let twice = told(history_of(2.0), &counted).expect("known");
+    assert_eq!(reported(History::default(), &counted), None, "no run has shown how long");
+    let left = reported(history_of(1.0), &counted).expect("known");
+    let twice = reported(history_of(2.0), &counted).expect("known");
     assert!(twice > 1.5 * left, "{twice} {left}");
     let thirds = [(1.0, poses(1, 3))];
-    assert_eq!(told(history_of(1.0), &thirds), None, "thirds of a strategy");
+    assert_eq!(reported(history_of(1.0), &thirds), None, "thirds of a strategy");
     let late = [(1.0, poses(1, 78)), (1000.0, poses(78, 78 + 1))];
-    assert_eq!(told(history_of(1.0), &late), None, "it takes longer than ever");
+    assert_eq!(reported(history_of(1.0), &late), None, "it takes longer than ever");
 }
 
 #[test]
@@ -306,32 +307,32 @@ fn a_machine_remembers_its_last_runs_by_what_did_them() {
 }
 
 /// The events that a teller passes on of a run which renders and ends, with its costs in `folder`.
-fn told_of_a_render(folder: &Path, workspace: &Workspace) -> Vec<Event> {
-    let mut told = Vec::new();
-    let mut sink = |event: &Event| told.push(event.clone());
+fn events_of_a_render(folder: &Path, workspace: &Workspace) -> Vec<Event> {
+    let mut reported = Vec::new();
+    let mut sink = |event: &Event| reported.push(event.clone());
     let plan = fresh(History::open(Some(folder), workspace));
-    let mut teller = Teller::new(&mut sink, workspace, plan);
+    let mut teller = ProgressReporter::new(&mut sink, workspace, plan);
     let (stage, round) = (Stage::Render, 1);
     teller.event(&Event::StageStarted { stage, round });
     teller.event(&Event::Finished { best_round: 1, seconds: 1.0 });
-    told
+    reported
 }
 
 #[test]
 fn a_finished_run_leaves_its_costs_to_the_next() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let workspace = Workspace::open(folder.path()).expect("open");
-    let told = told_of_a_render(folder.path(), &workspace);
-    let [Event::StageStarted { .. }, first, last, Event::Finished { .. }] = &told[..] else {
-        panic!("{told:?}");
+    let reported = events_of_a_render(folder.path(), &workspace);
+    let [Event::StageStarted { .. }, first, last, Event::Finished { .. }] = &reported[..] else {
+        panic!("{reported:?}");
     };
     let done = |event: &Event| matches!(event, Event::Progress { progress: 1.0, .. });
-    assert!(!done(first) && done(last), "{told:?}");
+    assert!(!done(first) && done(last), "{reported:?}");
     let history = History::open(Some(folder.path()), &workspace);
     assert!(history.pace(Part::Render, "").is_some());
     // Below a file there is no room for another.
-    let told = told_of_a_render(&folder.path().join("costs.json"), &workspace);
-    assert!(matches!(&told[3], Event::Warning { code, .. } if code == "costs"), "{told:?}");
+    let reported = events_of_a_render(&folder.path().join("costs.json"), &workspace);
+    assert!(matches!(&reported[3], Event::Warning { code, .. } if code == "costs"), "{reported:?}");
 }
 
 #[test]

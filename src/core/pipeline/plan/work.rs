@@ -64,7 +64,7 @@ const NOISE: f64 = 30.0;
 const FIRST_SHARE: f64 = 0.25;
 const GROWTH: (f64, f64) = (0.05, 0.425);
 
-/// Share of the training views of a shaken capture that have a kernel, until a round has told.
+/// Share of the training views of a shaken capture that have a kernel, until a round has shown which.
 const KERNELS: f64 = 0.6;
 
 /// Work of some parts, s.
@@ -80,14 +80,14 @@ pub struct Job {
     views: f64,
     /// Mean of a working image.
     megapixels: f64,
-    /// Photographs and pairs of them that structure from motion counts, once it has told.
+    /// Photographs and pairs of them that structure from motion counts, once known.
     pairs: Option<u64>,
-    /// Views with a kernel in the next round, once a round has told.
+    /// Views with a kernel in the next round, once known.
     kernels: Option<f64>,
 }
 
 impl Job {
-    /// A run over `views` photographs, which have so many pixels in all at the size asked for.
+    /// A run over `views` photographs, with this total of pixels at the size asked for.
     pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
         Self {
             asked: options.clone(),
@@ -116,7 +116,7 @@ impl Job {
         }
     }
 
-    /// Structure from motion counts so many photographs and pairs. COLMAP's own strategies count
+    /// Notes how many photographs and pairs structure from motion counts. COLMAP's own strategies count
     /// thirds of a strategy instead, of which there are no more than photographs at first.
     pub fn count_pairs(&mut self, total: u64) {
         if total as f64 > self.views {
@@ -124,12 +124,12 @@ impl Job {
         }
     }
 
-    /// Whether structure from motion has told how many pairs it looks at.
+    /// Whether structure from motion has reported its number of pairs.
     pub fn knows_pairs(&self) -> bool {
         self.pairs.is_some()
     }
 
-    /// So many views have a kernel in the next round.
+    /// Notes how many views have a kernel in the next round.
     pub fn expect_kernels(&mut self, kernels: u32) {
         self.kernels = Some(f64::from(kernels));
     }
@@ -158,7 +158,7 @@ impl Job {
         stages
     }
 
-    /// The work of a stage; none of a search for late views, which nobody can foresee.
+    /// The work of a stage; none of a search for late views, which cannot be foreseen.
     pub fn of(&self, stage: Stage, round: u32) -> Work {
         let views = |part, price| vec![(part, self.views * self.seconds(price, 1.0, 1.0))];
         match stage {

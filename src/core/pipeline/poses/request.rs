@@ -1,4 +1,4 @@
-//! What is asked of whoever finds poses.
+//! The request for poses.
 
 use std::path::Path;
 

@@ -216,10 +216,10 @@ fn cached_poses_are_as_young_as_their_last_use() {
 
 #[test]
 fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_figures() {
-    let mut told = Vec::new();
+    let mut warnings = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::Warning { code, message } = event {
-            told.push(format!("{code}: {message}"));
+            warnings.push(format!("{code}: {message}"));
         }
     };
     let poses = Poses { total: 2, mean_track: Some(2.5), ..placed(1, true, 'C') };
@@ -237,16 +237,16 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
     };
     warn(&mut sink, &poses, &[view]);
     assert_eq!(
-        told,
+        warnings,
         [
             "poses_low_confidence: the poses met no acceptance rule (1 of 2 views, 0 points, 0 \
              observations per view, a mean track of 2.50); check the result before you rely on it",
             "poses_missing: 1 of 2 photographs have a pose; excluded: cam0/b.jpg",
         ]
     );
-    told.clear();
-    let mut sink = |event: &Event| told.push(format!("{event:?}"));
+    warnings.clear();
+    let mut sink = |event: &Event| warnings.push(format!("{event:?}"));
     let whole = Poses { total: 18, ..placed(18, false, 'A') };
     warn(&mut sink, &whole, &[]);
-    assert!(told.is_empty(), "{told:?}");
+    assert!(warnings.is_empty(), "{warnings:?}");
 }

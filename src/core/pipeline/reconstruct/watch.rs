@@ -24,7 +24,7 @@ use crate::shake::{self, Response};
 /// Steps between scores.
 const SCORED: u32 = 100;
 /// Most views that are scored.
-const MOST_VIEWS: usize = 3;
+const MAX_VIEWS: usize = 3;
 /// Divisor of their sides: they are compared at a quarter of the pixels.
 const PART: usize = 2;
 /// Time between pictures.
@@ -80,7 +80,7 @@ impl<'a> Watch<'a> {
             held_out.iter().copied().filter(|&view| views[view].gt.is_some()).collect();
         let truth = !with_truth.is_empty();
         let from = if truth { &with_truth } else { &held_out };
-        let compared = spread_indices(from.len(), MOST_VIEWS)
+        let compared = spread_indices(from.len(), MAX_VIEWS)
             .into_iter()
             .map(|place| {
                 let view = from[place];
