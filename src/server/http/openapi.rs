@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_document_keeps_what_completes_it() {
+    fn the_document_keeps_its_completed_parts() {
         let mut completed = serde_json::to_value(Api::openapi()).expect("plain data");
         complete::complete(&mut completed);
         let kept = serde_json::to_value(api()).expect("plain data");

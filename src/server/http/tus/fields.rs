@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_has_digits_only_and_stands_once() {
+    fn a_number_has_only_digits_and_is_sent_once() {
         let of = |values: &[&str]| {
             let mut headers = HeaderMap::new();
             for value in values {

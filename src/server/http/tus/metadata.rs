@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_a_name_and_other_keys_do_not_matter() {
+    fn a_file_needs_a_name_and_other_keys_are_ignored() {
         let of = |sent: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(METADATA, sent.parse().expect("header"));

@@ -38,7 +38,7 @@ fn no_name_leaves_its_folder_or_reaches_a_command_line() {
 }
 
 #[test]
-fn true_poses_are_not_taken_for_those_of_the_capture() {
+fn true_poses_are_not_mistaken_for_the_captures_own() {
     let mut places = Places::default();
     for (name, place) in [
         ("fern/sparse/0/images.txt", "sparse/images.txt"),
@@ -67,7 +67,7 @@ fn only_paths_from_a_root_or_a_drive_lose_their_folders() {
 }
 
 #[test]
-fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
+fn thousands_of_equal_names_cost_no_more_than_different_ones() {
     let mut places = Places::default();
     let start = std::time::Instant::now();
     let paths: HashSet<PathBuf> =
@@ -138,7 +138,7 @@ fn ambiguous_names_without_folders_are_refused() {
 }
 
 #[test]
-fn models_that_are_sent_as_poses_stay_apart() {
+fn models_sent_as_poses_stay_separate() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "b.png", "c.png", "d.png"].map(str::to_owned);
     let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
