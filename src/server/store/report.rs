@@ -1,6 +1,6 @@
 //! Reports of a worker on its job. Each is a transaction that first checks the epoch, and is
-//! repeated if the database was unavailable and its answer is lost. The job counts the reports under
-//! a lease, so that a report whose answer was lost is not applied twice.
+//! repeated if the database was unavailable and its answer is lost. The job counts the reports
+//! under a lease, so that a report whose answer was lost is not applied twice.
 
 use std::time::{Duration, Instant};
 
