@@ -49,7 +49,7 @@ const SHARED: [&str; 12] = [
     VIDEO,
     VIDEO_FILE,
 ];
-/// The cookie that stands for a token.
+/// The cookie that carries a session.
 pub(super) const COOKIE: &str = "fled_session";
 
 /// The client of a request and what it may access. Every request to the API has one.
@@ -259,12 +259,12 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
     })
 }
 
-/// Returns whether these headers still grant access: an answer may outlast the validity of a token.
+/// Returns whether these headers still grant access: a response may outlast its token.
 pub(super) async fn holds(app: &App, headers: &HeaderMap) -> Result<bool, Problem> {
     Ok(!app.store.has_tokens().await? || token_of(app, headers).await?.is_some())
 }
 
-/// Returns the valid token that a request presents or that its session stands for. A header takes
+/// Returns the valid token that a request presents, directly or through its session. A header takes
 /// precedence over the cookie.
 pub(super) async fn token_of(app: &App, headers: &HeaderMap) -> Result<Option<TokenRow>, Problem> {
     Ok(if headers.contains_key(header::AUTHORIZATION) {

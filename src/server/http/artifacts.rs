@@ -113,7 +113,8 @@ pub async fn download(
     sent.answer(&headers).await
 }
 
-/// Returns whether a visitor may see a file: a share link shows no log, which tells of the machine.
+/// Returns whether a visitor may see a file: a share link hides the log, which describes the
+/// machine.
 fn may_see(visitor: &Visitor, output: &RunFolder, name: &str) -> bool {
     visitor.only_job().is_none() || output.root().join(name) != output.log()
 }

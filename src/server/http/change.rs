@@ -1,4 +1,4 @@
-//! Changing what the user calls a job.
+//! Changes a job's name and tags.
 
 use std::sync::Arc;
 
@@ -13,9 +13,9 @@ use super::shapes::Job;
 use super::upload::check_name;
 use crate::app::App;
 
-/// Most tags of a job.
+/// Maximum tags of a job.
 const MOST_TAGS: usize = 20;
-/// Most characters of a tag.
+/// Maximum characters of a tag.
 const LONGEST_TAG: usize = 50;
 
 /// What is to change of a job; the rest stays.
@@ -54,7 +54,7 @@ pub async fn change(
     Ok(axum::Json(told(&app, &id).await?))
 }
 
-/// The tags in their order, without blanks around them, each once.
+/// Trims the tags and removes duplicates, keeping their order.
 fn distinct(tags: &[String]) -> Result<Vec<String>, Problem> {
     let mut kept: Vec<String> = Vec::new();
     for tag in tags.iter().map(|tag| tag.trim()) {

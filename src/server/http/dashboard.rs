@@ -1,9 +1,9 @@
 //! The dashboard: plain embedded files, without external resources.
 //!
-//! A page consists of some fifty small modules. Their addresses name this build, so that a browser
-//! keeps them for good and never shows a page of another build with old scripts. The page names all
-//! modules that it needs at once, and those that each of its parts needs once it is opened: a
-//! browser does not find them one behind the other.
+//! A page consists of some fifty small modules. Their addresses contain the build, so that a
+//! browser can cache them permanently and never combines a page with the scripts of another build.
+//! The page lists all modules that it needs at once, and those that each of its parts needs when
+//! opened, so that a browser does not discover them one after another.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -61,7 +61,7 @@ static BUILD: LazyLock<String> = LazyLock::new(|| {
 });
 
 /// A page with the addresses of this build, links to all modules that its `script` imports, and
-/// links without effect to those that it may import later, which name the module they are for.
+/// inactive links to those that it may import later, which name the module they are for.
 fn page(html: &str, script: &str) -> String {
     let base = format!("/assets/{}/", *BUILD);
     let modules = imported(script);
@@ -79,7 +79,7 @@ fn page(html: &str, script: &str) -> String {
     html.replace("/assets/", &base).replace("</head>", &format!("{links}</head>"))
 }
 
-/// The modules that `script` loads once it needs them.
+/// The modules that `script` imports on demand.
 fn imported_later(script: &str) -> BTreeSet<String> {
     let text = Web::get(script).map(|file| file.data).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
@@ -104,7 +104,7 @@ fn imported(name: &str) -> BTreeSet<String> {
     found
 }
 
-/// The name of the file at the relative `path`, seen from the file `name`.
+/// Resolves the relative `path` from the file `name`.
 fn beside(name: &str, path: &str) -> String {
     let mut parts: Vec<_> = name.split('/').collect();
     parts.pop();
@@ -118,21 +118,21 @@ fn beside(name: &str, path: &str) -> String {
     parts.join("/")
 }
 
-/// The page, which decides by itself what to show.
+/// The page, which decides what to show.
 pub async fn index(headers: HeaderMap) -> Response {
     file("index.html", &headers)
 }
 
-/// The scene of one job alone. Any page may frame it: it shows what its address allows, and has
-/// nothing to press that changes anything.
+/// The scene of one job alone. Any page may embed it in a frame: it shows what its address allows
+/// and has no controls that change anything.
 pub async fn embedded(headers: HeaderMap) -> Response {
     let policy = CONTENT_SECURITY_POLICY.replace("frame-ancestors 'none'", "frame-ancestors *");
     ([(header::CONTENT_SECURITY_POLICY, policy)], file("embed.html", &headers)).into_response()
 }
 
-/// Their styles and scripts, by name or below the address of a build. A page of another build,
-/// still open or sent by another replica, gets what this one has, but only what is of this build
-/// never changes.
+/// Styles and scripts, by name or below the address of a build. A page of another build, still open
+/// or sent by another replica, gets the files of this one, but only files of this build are cached
+/// permanently.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
     let is_build = |part: &str| part.len() == 16 && part.bytes().all(|b| b.is_ascii_hexdigit());
     match name.split_once('/') {

@@ -1,8 +1,8 @@
-//! `/v1/jobs/{id}/events`: server-sent events out of the database.
+//! `/v1/jobs/{id}/events`: server-sent events read from the database.
 //!
-//! A change wakes a stream, which asks for the events after the last that it sent; one read of the
-//! database answers all streams of a job (`store/feed.rs`). So no event is lost, doubled or out of
-//! order, whether the client reconnects, the server restarts or both.
+//! A change wakes a stream, which asks for the events after the last one it sent; one read of the
+//! database serves all streams of a job (`store/feed.rs`). So no event is lost, repeated or out of
+//! order, even if the client reconnects or the server restarts.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -68,18 +68,18 @@ pub async fn stream(
     Query(query): Query<StreamQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    // Watching begins before the first look, or a change between the two would be missed.
+    // Watch before the first read, or a change between the two would be missed.
     let versions = app.store.changes();
     let job = find(&app, &id).await?;
     let last = match headers.get("last-event-id") {
         Some(value) => value.to_str().ok().and_then(|text| text.trim().parse().ok()),
         None => Some(query.after.unwrap_or(0)),
     };
-    // An invalid number is rejected wherever it stands.
+    // An invalid number is rejected in either place.
     let last = last.filter(|_| query.after.is_none_or(|after| after >= 0));
     let last = known(&app, &id, last).await?;
     if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
-        // The only answer after which a browser does not reconnect.
+        // The only status after which a browser does not reconnect.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let cursor = Cursor {

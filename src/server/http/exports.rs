@@ -26,7 +26,7 @@ const PIECE: usize = 1 << 16;
 /// Chunks buffered for a slow client.
 const WAITING: usize = 4;
 
-/// Seconds after which one of the turns may have ended.
+/// Seconds after which a slot may be free.
 const RETRY: u32 = 10;
 
 /// Of what.
@@ -125,20 +125,20 @@ pub async fn download(
     Ok((headers, body).into_response())
 }
 
-/// A turn at making a file while it is sent: that takes a thread as long as the client reads.
+/// A slot for a streamed file, which occupies a thread as long as the client reads.
 pub(super) fn turn(app: &App) -> Result<OwnedSemaphorePermit, Problem> {
     app.exporting.clone().try_acquire_owned().map_err(|_| busy())
 }
 
-/// The body of an answer, made while it is sent.
+/// A response body that `make` generates while it is sent.
 pub(super) fn body_of(make: impl FnOnce(&Pieces) + Send + 'static) -> Body {
     let (sender, mut pieces) = mpsc::channel(WAITING);
     tokio::task::spawn_blocking(move || make(&sender));
     Body::from_stream(poll_fn(move |context| pieces.poll_recv(context)))
 }
 
-/// Writes the export into the answer. An error aborts the answer, so that it is not taken for
-/// complete.
+/// Writes the export into the response. An error aborts the response, so that the client does not
+/// take it for complete.
 fn make(prepared: &Prepared, pieces: &Pieces, job: &str) {
     let pipe = io::BufWriter::with_capacity(PIECE, Pipe(pieces));
     match prepared.write(pipe) {
@@ -147,16 +147,16 @@ fn make(prepared: &Prepared, pieces: &Pieces, job: &str) {
         Err(ExportError::Write(_)) if pieces.is_closed() => {}
         Err(error) => {
             tracing::error!(%error, job, "an export was interrupted");
-            // If the client has disconnected as well, the error needs no receiver.
+            // If the client has also disconnected, there is no receiver for the error.
             let _ = pieces.blocking_send(Err(io::Error::other("the export was interrupted")));
         }
     }
 }
 
-/// Where the pieces of an answer go.
+/// Sends the chunks of a response.
 pub(super) type Pieces = mpsc::Sender<io::Result<Bytes>>;
 
-/// Writes into an answer.
+/// Writes into a response.
 pub(super) struct Pipe<'a>(pub &'a Pieces);
 
 impl Write for Pipe<'_> {

@@ -44,20 +44,20 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     }
 }
 
-/// Whether a request says that it is JSON.
+/// Returns whether the content type is JSON.
 pub fn is_json(headers: &HeaderMap) -> bool {
     is_of_type(headers, "application/json")
 }
 
-/// Whether a request says that its body is of a media type, in whatever case.
-pub fn is_of_type(headers: &HeaderMap, wanted: &str) -> bool {
+/// Returns whether the body has this media type, ignoring case.
+pub fn is_of_type(headers: &HeaderMap, media_type: &str) -> bool {
     let value = headers.get(header::CONTENT_TYPE);
     let kind =
         value.and_then(|value| value.to_str().ok()).and_then(|value| value.split(';').next());
-    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(wanted))
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(media_type))
 }
 
-/// Parses JSON, or tells what is wrong as the rest of a sentence.
+/// Parses JSON, or describes the error as the rest of a sentence.
 pub fn parsed(text: &[u8]) -> Result<Value, String> {
     serde_json::from_slice(text).map_err(|error| match error.classify() {
         Category::Eof => "is not JSON: it ends too early".to_owned(),

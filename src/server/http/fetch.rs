@@ -12,7 +12,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::sharing::fetch_job;
 
-/// What is read from the files of a job.
+/// Routes that read the files of a job.
 const OF_FILES: [&str; 10] = [
     "/v1/jobs/{id}/rounds",
     "/v1/jobs/{id}/live",
@@ -40,7 +40,7 @@ pub(super) async fn bring(
     if !OF_FILES.contains(&route.as_str()) {
         return next.run(request).await;
     }
-    // A video is a job, too.
+    // A video is also a job.
     let name = if route == VIDEO_FILE { "video" } else { "id" };
     let Some(id) = param(&mut request, name).await else {
         return next.run(request).await;
@@ -51,8 +51,8 @@ pub(super) async fn bring(
     next.run(request).await
 }
 
-async fn param(request: &mut Request, wanted: &str) -> Option<String> {
+async fn param(request: &mut Request, name: &str) -> Option<String> {
     let params = request.extract_parts::<RawPathParams>().await.ok()?;
-    let (_, value) = params.iter().find(|(name, _)| *name == wanted)?;
+    let (_, value) = params.iter().find(|(key, _)| *key == name)?;
     Some(value.to_owned())
 }

@@ -1,8 +1,8 @@
 //! The host names of the server.
 //!
-//! A page of another site can make its own name point at this machine (DNS rebinding): for the
-//! browser its requests then stay within one origin, and no rule about origins stops them. They
-//! still carry that name.
+//! A page of another site can make its own name resolve to this machine (DNS rebinding): the
+//! browser then treats its requests as same-origin, and no origin rule stops them. They still carry
+//! that name.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
@@ -44,8 +44,8 @@ fn is_named_once(version: Version, headers: &HeaderMap) -> bool {
     names == 1 || (names == 0 && version < Version::HTTP_11)
 }
 
-/// Returns whether every host name of a request is the server's own. IP addresses are: no other
-/// site has one for its name. A request without a host name comes from no browser.
+/// Returns whether every host name of a request belongs to the server. IP addresses do, since no
+/// other site can use one as its name. A request without a host name does not come from a browser.
 fn is_known(uri: &Uri, headers: &HeaderMap, hosts: &[String]) -> bool {
     let named = headers.get_all(header::HOST).iter();
     let named = named.map(|value| value.to_str().ok()?.parse::<Authority>().ok());

@@ -31,7 +31,7 @@ use crate::files::remove;
 use crate::store::state::JobState;
 use crate::store::{Creation, JobFilter, JobRow};
 
-/// How long a cancellation waits for the job to be over before it answers.
+/// How long a cancellation waits for the job to end before it responds.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 
 /// A job to create.
@@ -315,13 +315,13 @@ pub async fn list(
     let capture = id(query.capture_id.as_deref(), "capture_id")?;
     let only =
         JobFilter { state: query.state, capture: capture.as_deref(), owner: visitor.sees_only() };
-    let told = app.store.jobs(only, limit + 1, cursor.as_deref());
-    let mut told = told.await?;
-    let more = told.len() > limit as usize;
-    told.truncate(limit as usize);
-    let last = told.last().filter(|_| more);
-    let next_cursor = last.map(|told| told.row.id.clone());
-    let jobs = told.into_iter().map(Job::from_told).collect();
+    let found = app.store.jobs(only, limit + 1, cursor.as_deref());
+    let mut found = found.await?;
+    let more = found.len() > limit as usize;
+    found.truncate(limit as usize);
+    let last = found.last().filter(|_| more);
+    let next_cursor = last.map(|job| job.row.id.clone());
+    let jobs = found.into_iter().map(Job::from_told).collect();
     Ok(axum::Json(Jobs { jobs, next_cursor }))
 }
 
@@ -363,7 +363,7 @@ pub async fn cancel(
         }
         Ok::<(), Problem>(())
     };
-    // On a timeout the answer shows the requested cancellation, which will follow.
+    // On a timeout the response shows the cancellation as requested.
     if let Ok(outcome) = tokio::time::timeout(CANCEL_PATIENCE, ended).await {
         outcome?;
     }
@@ -401,8 +401,8 @@ pub(super) fn over(row: &JobRow) -> Problem {
     )
 }
 
-/// Returns the job as answered, or 404.
+/// Returns the job's JSON, or 404.
 pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
-    let told = app.store.told_job(id).await?;
-    told.map(Job::from_told).ok_or_else(|| Problem::not_found("job"))
+    let job = app.store.told_job(id).await?;
+    job.map(Job::from_told).ok_or_else(|| Problem::not_found("job"))
 }

@@ -34,7 +34,7 @@ pub async fn show(
     let job = find(&app, &id).await?;
     let path = app.data.output(&id).work().live_picture();
     let nothing = || Ok(StatusCode::NO_CONTENT.into_response());
-    // The preview that a killed process left behind is outdated.
+    // A preview left by a killed process is outdated.
     if job.state != JobState::Running {
         return nothing();
     }

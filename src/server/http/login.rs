@@ -53,7 +53,7 @@ pub async fn show(
 
 /// Starts a session with a token.
 ///
-/// The session cookie stands in for the token for up to a week.
+/// The session cookie replaces the token for up to a week.
 pub async fn login(
     State(app): State<Arc<App>>,
     headers: HeaderMap,

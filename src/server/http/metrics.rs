@@ -29,7 +29,7 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let lost_before = app.store.now().await? - waits.lease_ms;
     let lost = workers.iter().filter(|w| w.seen_at < lost_before).count();
     let count = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
-    let told = app.telemetry.text(&Now {
+    let text = app.telemetry.text(&Now {
         jobs,
         free_bytes: app.data.free_bytes().ok(),
         lease_age: waits.lease_age,
@@ -43,7 +43,7 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
             })
             .collect(),
     });
-    Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], told).into_response())
+    Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], text).into_response())
 }
 
 /// Counts an answer and logs it: changes and failures at `info`, the rest at `debug`. Paths are

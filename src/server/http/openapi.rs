@@ -78,8 +78,8 @@ use super::{
         show,
         show_json
     ),
-    // A schema that only a query names is not found automatically. The dashboard's login is no part
-    // of the API, but its types are checked by this document.
+    // A schema used only in a query is not found automatically. The dashboard's login is not part
+    // of the API, but its types are checked against this document.
     components(schemas(rounds::Form, login::Session)),
     modifiers(&Refusals)
 )]
@@ -88,13 +88,13 @@ struct Api;
 /// Name of the security scheme.
 const TOKEN: &str = "token";
 
-/// A refusal that every request may get.
+/// An error that every request may get.
 const UNKNOWN_HOST: (&str, &str) = ("421", "The request does not use a name of this server");
 
-/// A refusal of what an address says, whatever the operation.
+/// An error for an invalid address, in any operation.
 const BAD_TEXT: (&str, &str) = ("422", "The address has control characters");
 
-/// Adds to every operation the refusals that precede its handler.
+/// Adds to every operation the errors that may occur before its handler.
 struct Refusals;
 
 impl Modify for Refusals {
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_document_keeps_what_completes_it() {
+    fn the_document_keeps_its_completed_parts() {
         let mut completed = serde_json::to_value(Api::openapi()).expect("plain data");
         complete::complete(&mut completed);
         let kept = serde_json::to_value(api()).expect("plain data");

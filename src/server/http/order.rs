@@ -115,8 +115,8 @@ impl Order {
         }
         let accepted = report.images.iter().filter(|image| image.accepted);
         let names = view_names(accepted.map(|image| image.name.as_str()));
-        let mut wanted = held_out.split(',').map(str::trim).filter(|w| !w.is_empty());
-        match wanted.find(|wanted| !names.iter().any(|name| name == wanted)) {
+        let mut requested = held_out.split(',').map(str::trim).filter(|w| !w.is_empty());
+        match requested.find(|requested| !names.iter().any(|name| name == requested)) {
             None => Ok(()),
             Some(unknown) => refused(format!("`{unknown}` is not a view of this capture")),
         }
@@ -141,8 +141,8 @@ impl Order {
 }
 
 impl Order {
-    /// What a machine needs to run the job, where there are several: training with the
-    /// paper's settings takes days without a GPU.
+    /// Requirements for the machine, if there are several: training with the paper's settings takes
+    /// days without a GPU.
     fn needs(&self, app: &App) -> Needs {
         match (app.store.engine(), self.preset) {
             (Engine::Postgres, Preset::Paper) => Needs { gpu: true, memory: PAPER_MEMORY },
@@ -151,7 +151,7 @@ impl Order {
     }
 }
 
-/// Checks options with a syntax of their own, which the job would parse only after the poses.
+/// Checks options with their own syntax, which the job would otherwise parse only after the poses.
 fn check_words(options: &Options) -> Result<(), Problem> {
     let target: Result<Target, _> = options.target.parse();
     target.map_err(|error| {

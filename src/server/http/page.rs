@@ -29,10 +29,10 @@ pub(super) fn within(limit: usize, most: usize) -> Result<(), Problem> {
         .pointer("/limit"))
 }
 
-/// An id in a query, written as the database has it.
+/// An id in a query, in the form stored in the database.
 ///
 /// # Errors
-/// 422 for what is no id: a list of nothing would hide the mistake.
+/// 422 for an invalid id: an empty list would hide the mistake.
 pub(super) fn id(asked: Option<&str>, name: &str) -> Result<Option<String>, Problem> {
     let id = asked.map(str::parse::<Uuid>).transpose();
     let id = id.map_err(|_| {

@@ -36,7 +36,7 @@ pub async fn thumbnail(
     let etag = format!("\"{}\"", file.display());
     let path = app.data.capture(&row.id).join(file);
     let about = tokio::fs::metadata(&path).await;
-    // A capture of an older build has none.
+    // A capture of an older build has no thumbnails.
     let bytes = about.map_err(|_| Problem::not_found("thumbnail"))?.len();
     Sent { path, bytes, etag, media_type: "image/jpeg" }.answer(&headers).await
 }
@@ -65,7 +65,7 @@ pub async fn original(
     let thumbnail = data::thumbnail(&name);
     let place = tokio::fs::read_to_string(folder.join(&thumbnail).with_extension("txt")).await;
     let place = PathBuf::from(place.map_err(|_| missing())?);
-    // An upload may hold such a file of its own making.
+    // An uploaded archive may contain such a file.
     if !place.components().all(|part| matches!(part, Component::Normal(_))) {
         return Err(missing());
     }
@@ -86,7 +86,7 @@ pub async fn original(
         match written {
             Err(error) if !pieces.is_closed() => {
                 tracing::error!(%error, capture = row.id, "a photograph was not sent whole");
-                // If the client disconnects just now, the error needs no receiver.
+                // If the client has disconnected, there is no receiver for the error.
                 let _ = pieces.blocking_send(Err(io::Error::other("the photograph is cut short")));
             }
             _ => {}
@@ -99,7 +99,7 @@ pub async fn original(
     Ok((headers, body).into_response())
 }
 
-/// The media type of a picture that browsers show; they download the rest.
+/// The media type of an image format that browsers display; others are downloaded.
 fn media_type(file: &FilePath) -> &'static str {
     let extension = file.extension().unwrap_or_default().to_ascii_lowercase();
     match extension.to_str() {

@@ -37,7 +37,7 @@ pub async fn unpin(
 
 async fn set(app: &App, id: &str, pinned: bool) -> Result<Json<Job>, Problem> {
     app.store.pin_job(id, pinned).await?;
-    let told = app.store.told_job(id).await?;
-    let told = told.ok_or_else(|| Problem::not_found("job"))?;
-    Ok(Json(Job::from_told(told)))
+    let job = app.store.told_job(id).await?;
+    let job = job.ok_or_else(|| Problem::not_found("job"))?;
+    Ok(Json(Job::from_told(job)))
 }

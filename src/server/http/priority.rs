@@ -1,4 +1,4 @@
-//! Priorities of jobs, as far as the client may set them.
+//! Job priorities, as far as the client may set them.
 
 use axum::http::StatusCode;
 use serde_json::{Map, Number, Value};

@@ -58,7 +58,7 @@ impl Problem {
         }
     }
 
-    /// Sets what the client may do about it.
+    /// Sets a hint for the client.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into().into());
@@ -101,7 +101,7 @@ impl Problem {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, code, detail)
     }
 
-    /// 500: the server's fault; the log contains more than the client may know.
+    /// 500: an internal error; only the log contains the details.
     pub fn internal() -> Self {
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,

@@ -29,13 +29,13 @@ use crate::store::state::JobState;
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
 
-/// After so many seconds a render may go better.
+/// Seconds after which a render may succeed.
 const RENDER_RETRY: u32 = 5;
-/// Largest number of a camera: px, or units of the world, as UTM's in millimetres.
+/// Maximum absolute value in a camera: px, or world units such as UTM in millimetres.
 const LARGEST_NUMBER: f64 = 1e12;
-/// Most stops that a view is brightened or darkened by.
+/// Maximum exposure change of a view, in stops.
 const MOST_STOPS: f64 = 16.0;
-/// Shortest focal length, in sides of the picture: almost 180 degrees wide.
+/// Minimum focal length, relative to the image side: a field of view of almost 180 degrees.
 const SHORTEST_FOCAL: f64 = 1e-3;
 
 /// What to see: a photograph's view, or a place on the orbit around the scene.
@@ -167,7 +167,7 @@ pub async fn post(
     picture(&app, &id, wanted, client, &headers).await
 }
 
-/// Of which round the scene is taken; `None`: the delivered scene of a finished job.
+/// The round whose scene is rendered; `None` for the delivered scene of a finished job.
 async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, Problem> {
     let job = find(app, id).await?;
     let output = app.data.output(id);
@@ -189,7 +189,7 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
     })
 }
 
-/// The camera that the query asks for.
+/// The requested camera.
 async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, Problem> {
     let viewpoint = query.viewpoint()?;
     for side in [query.width, query.height].into_iter().flatten() {
@@ -246,7 +246,7 @@ fn check_size((width, height): (usize, usize)) -> Result<(), Problem> {
     ))
 }
 
-/// The stops that are asked for.
+/// Checks the requested exposure change in stops.
 fn check_stops(ev: Option<f64>) -> Result<f64, Problem> {
     let ev = ev.unwrap_or(0.0);
     if ev.abs() <= MOST_STOPS {
@@ -258,12 +258,12 @@ fn check_stops(ev: Option<f64>) -> Result<f64, Problem> {
     ))
 }
 
-/// Whether numbers make a camera: finite, positive focal lengths, a rotation.
+/// Checks a camera: finite numbers, positive focal lengths, a valid rotation.
 fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     let k = &camera.intrinsics;
     check_size((k.width, k.height))?;
     let rows = &camera.world_to_camera;
-    // The renderer computes in f32, where more than this is no number or no picture.
+    // The renderer uses f32, where larger values give NaN or an empty image.
     let finite = rows
         .iter()
         .flatten()
@@ -284,9 +284,9 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
         ))
 }
 
-/// A picture that is asked for.
+/// A requested image.
 struct Wanted {
-    /// Of which round; `None`: of the delivered scene.
+    /// The round; `None` for the delivered scene.
     round: Option<u32>,
     camera: NamedCamera,
     format: Format,
@@ -348,8 +348,8 @@ fn failed(error: &RenderError) -> Problem {
         .retry_after(RENDER_RETRY)
 }
 
-/// A hash of all that a picture depends on: the build, the scene's very file, the camera, the size,
-/// the format and what is shown.
+/// A hash of all that an image depends on: the build, this exact scene file, the camera, the size,
+/// the format and the content shown.
 fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let metadata = std::fs::metadata(scene)?;
     let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);
@@ -359,7 +359,7 @@ fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     Ok(key[..32].to_owned())
 }
 
-/// Removes the oldest pictures beyond `kept`.
+/// Removes the oldest images beyond `kept`.
 fn trim(cache: &FilePath, kept: usize) {
     let Ok(entries) = std::fs::read_dir(cache) else {
         return;
@@ -373,7 +373,7 @@ fn trim(cache: &FilePath, kept: usize) {
     }
     files.sort();
     for (_, path) in &files[..files.len() - kept] {
-        // Another request may have removed it meanwhile.
+        // Another request may have removed it.
         let _ = std::fs::remove_file(path);
     }
 }
@@ -393,7 +393,7 @@ mod tests {
             NamedCamera { name: String::new(), intrinsics, world_to_camera, split: Split::Train };
         let wanted =
             Wanted { round: None, camera, format: Format::Png, shown: Shown::Colour, ev: 0.0 };
-        // As builds before CODE_VERSION 5 named it.
+        // The key used by builds before CODE_VERSION 5.
         let about = std::fs::metadata(scene).expect("there");
         let mut hasher = blake3::Hasher::new();
         hasher.update(scene.as_os_str().as_encoded_bytes());

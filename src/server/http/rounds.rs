@@ -64,16 +64,16 @@ pub async fn show(
     Path(id): Path<String>,
     Query(query): Query<RoundsQuery>,
 ) -> Result<Response, Problem> {
-    let told = app.store.told_job(&id).await?;
-    let told = told.ok_or_else(|| Problem::not_found("job"))?;
+    let job = app.store.told_job(&id).await?;
+    let job = job.ok_or_else(|| Problem::not_found("job"))?;
     let rounds = app.store.rounds(&id).await?;
     if matches!(query.format, Some(Form::Csv)) {
         let csv = csv(&rounds);
         return Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], csv).into_response());
     }
     let mut facts = facts(&app, &id).await;
-    facts.insert("stages".to_owned(), stages(&told.stages));
-    Ok(axum::Json(Rounds { rounds, best_round: told.row.best_round, facts }).into_response())
+    facts.insert("stages".to_owned(), stages(&job.stages));
+    Ok(axum::Json(Rounds { rounds, best_round: job.row.best_round, facts }).into_response())
 }
 
 /// The fields of `metrics.json` other than the rounds. The file is written after every round and
@@ -115,8 +115,8 @@ const COLUMNS: [&str; 13] = [
     "shake_px",
 ];
 
-/// One row per record, then one per view, which has its name in `view` and no number of views.
-/// Every value is a number or a fixed word, so nothing needs quoting.
+/// One row per record, then one per view, with the view's name in `view` and no view count. Every
+/// value is a number or a fixed word, so nothing needs quoting.
 fn csv(rounds: &[Value]) -> String {
     let mut text = COLUMNS.join(",") + "\n";
     for round in rounds {

@@ -1,4 +1,4 @@
-//! `/v1/captures/sample`: a capture for those who have no photographs at hand.
+//! `/v1/captures/sample`: a capture for users without photographs.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,7 +20,7 @@ use crate::error::ServerError;
 
 /// Photographs of the sample.
 const VIEWS: usize = 20;
-/// Drawing a sample takes a core some seconds: one at a time.
+/// Drawing a sample takes several seconds of a core, so only one runs at a time.
 static TURN: Mutex<()> = Mutex::const_new(());
 
 /// Creates a capture of a made-up dark room, with poses and ground truth.

@@ -1,4 +1,4 @@
-//! A file as an answer: whole, as a range, or as 304 if the client has it.
+//! A file as a response: whole, as a range, or as 304 if the client has it.
 
 use std::io::{ErrorKind, SeekFrom};
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ pub(super) struct Sent {
     pub path: PathBuf,
     /// Its size.
     pub bytes: u64,
-    /// With quotes; differs for different content.
+    /// Quoted; changes with the content.
     pub etag: String,
     /// Its media type.
     pub media_type: &'static str,
@@ -32,7 +32,7 @@ impl Sent {
             (header::ETAG, self.etag.clone()),
             (header::ACCEPT_RANGES, "bytes".to_owned()),
             (header::CONTENT_TYPE, self.media_type.to_owned()),
-            // A file of a job must not act as a page of this site.
+            // A file of a job must not run as a page of this site.
             (header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox".to_owned()),
         ];
         if is_known(headers, &self.etag) {
@@ -63,7 +63,7 @@ impl Sent {
     ) -> Result<Response, Problem> {
         let mut source = tokio::fs::File::open(&self.path).await.map_err(|error| {
             if error.kind() == ErrorKind::NotFound {
-                // Deleted meanwhile, or lost: the log tells which file.
+                // Deleted meanwhile, or lost: log which file.
                 tracing::warn!(path = %self.path.display(), "a file to send is missing");
                 return Problem::not_found("file");
             }

@@ -53,7 +53,7 @@ impl Capture {
     }
 }
 
-/// The assessments of a stored capture, with the names of their views.
+/// The assessments of a stored capture, with the names of its views.
 pub fn report(row: &CaptureRow) -> CaptureReport {
     let mut report = CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
         tracing::error!(%error, capture = row.id, "the capture's assessments are damaged");
@@ -193,8 +193,8 @@ pub struct Jobs {
 }
 
 impl Job {
-    pub fn from_told(told: ToldJob) -> Self {
-        let ToldJob { row, warnings, stages, queue_position, stage_started_at, score } = told;
+    pub fn from_told(job: ToldJob) -> Self {
+        let ToldJob { row, warnings, stages, queue_position, stage_started_at, score } = job;
         Self {
             warnings: warnings
                 .into_iter()

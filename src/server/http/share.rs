@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/shares`: share links, which open one job to their bearer.
+//! `/v1/jobs/{id}/shares`: links that give their holder access to one job.
 
 use std::sync::Arc;
 
@@ -95,10 +95,10 @@ pub async fn create(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
     Extension(visitor): Extension<Visitor>,
-    Json(wanted): Json<NewLink>,
+    Json(new): Json<NewLink>,
 ) -> Result<impl IntoResponse, Problem> {
     let maker = maker(&visitor)?;
-    check(&wanted)?;
+    check(&new)?;
     let job = find(&app, &id).await?;
     let no_randomness = |error| {
         tracing::error!(%error, "cannot create a link");
@@ -106,10 +106,10 @@ pub async fn create(
     };
     let secret = Secret::new().map_err(no_randomness)?;
     let now = app.store.now().await?;
-    let ends = now + i64::from(wanted.days) * DAY_MS;
+    let ends = now + i64::from(new.days) * DAY_MS;
     let share = NewShare {
         id: new_id().map_err(no_randomness)?,
-        name: wanted.name,
+        name: new.name,
         digest: secret.digest(),
         job: job.id.clone(),
         made_by: maker.id.clone(),
@@ -151,7 +151,7 @@ pub async fn list(
 ) -> Result<axum::Json<Shares>, Problem> {
     let job = find(&app, &id).await?;
     let shares = app.store.shares(&job.id).await?;
-    let shares = shares.into_iter().map(told).collect();
+    let shares = shares.into_iter().map(shown).collect();
     Ok(axum::Json(Shares { shares }))
 }
 
@@ -192,19 +192,19 @@ fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
     Ok(token)
 }
 
-fn check(wanted: &NewLink) -> Result<(), Problem> {
-    if !(1..=MOST_DAYS).contains(&wanted.days) {
+fn check(new: &NewLink) -> Result<(), Problem> {
+    if !(1..=MOST_DAYS).contains(&new.days) {
         let detail = format!("A link is valid for 1 to {MOST_DAYS} days.");
         return Err(Problem::unprocessable("bad_days", detail).pointer("/days"));
     }
-    if wanted.name.chars().count() > NAME {
+    if new.name.chars().count() > NAME {
         let detail = format!("A link's name has at most {NAME} characters.");
         return Err(Problem::unprocessable("bad_name", detail).pointer("/name"));
     }
     Ok(())
 }
 
-fn told(row: ShareRow) -> Share {
+fn shown(row: ShareRow) -> Share {
     Share {
         id: row.id,
         name: row.name,

@@ -1,5 +1,5 @@
-//! The rule for texts from clients, applied before a handler or a database sees them: they are
-//! plain, since a database may refuse others, and whoever is shown them may be misled.
+//! The rule for text from clients, checked before a handler or a database uses it: it must be
+//! plain, since a database may refuse other text, and such text may mislead a reader.
 
 use axum::extract::Request;
 use axum::http::StatusCode;
@@ -69,7 +69,7 @@ mod tests {
 
     #[test]
     fn every_text_of_a_body_is_checked() {
-        let told = |value: &Value| {
+        let refused = |value: &Value| {
             let problem = check_value(value, "").expect_err("not plain");
             let problem = serde_json::to_value(problem).expect("plain data");
             (problem["code"].clone(), problem["pointer"].clone())
@@ -82,7 +82,7 @@ mod tests {
             (json!({ "options": { "a": ["b", "\u{1b}[2J"] } }), "/options/a/1"),
             (json!({ "a~/\n": 1 }), "/a~0~1\n"),
         ] {
-            assert_eq!(told(&value), (json!("bad_text"), json!(pointer)));
+            assert_eq!(refused(&value), (json!("bad_text"), json!(pointer)));
         }
     }
 }

@@ -1,5 +1,5 @@
-//! `/v1/uploads`: uploads in pieces that go on where they broke off, by the tus protocol 1.0.0
-//! with its extensions creation, creation-with-upload, expiration and termination.
+//! `/v1/uploads`: resumable uploads by the tus protocol 1.0.0 with its extensions creation,
+//! creation-with-upload, expiration and termination.
 
 mod create;
 mod fields;
@@ -30,7 +30,7 @@ use crate::files::remove;
 use crate::files::upload_locks::UploadLock;
 use crate::store::UploadRow;
 
-/// What of the protocol there is besides its core.
+/// Supported extensions of the protocol.
 const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";
 
 /// The bytes of a file.
@@ -39,7 +39,7 @@ const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";
 #[expect(dead_code, reason = "it describes what is read as it comes")]
 pub struct Bytes(Vec<u8>);
 
-/// Puts the version of the protocol on every answer about uploads, refusals included.
+/// Adds the protocol version to every response about uploads, including errors.
 pub(super) async fn mark(request: Request, next: Next) -> Response {
     let path = request.uri().path();
     let is_ours =
@@ -51,12 +51,12 @@ pub(super) async fn mark(request: Request, next: Next) -> Response {
     answer
 }
 
-/// Refuses those who speak another version.
+/// Refuses requests with another protocol version.
 pub(super) async fn check_version(request: Request, next: Next) -> Response {
     let version = request.headers().get(RESUMABLE);
     let is_spoken = match *request.method() {
         Method::OPTIONS => true,
-        // Nobody who speaks any version posts to an upload, but in place of another method.
+        // In any version, a POST to an upload is only an override of another method.
         Method::POST if request.uri().path() != UPLOADS => {
             overriding(request.headers()).is_none() || version.is_some_and(|v| v == VERSION)
         }
@@ -74,10 +74,10 @@ pub(super) async fn check_version(request: Request, next: Next) -> Response {
     ([(VERSIONS, VERSION)], problem.hint(hint)).into_response()
 }
 
-/// Reads all that a request can say in headers: for fuzzers.
+/// Reads all tus header fields of a request, for fuzzers.
 ///
 /// # Errors
-/// 400 where one of them cannot be read.
+/// 400 if a field cannot be read.
 #[doc(hidden)]
 pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
     let metadata = Metadata::of(headers);
@@ -93,12 +93,12 @@ pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
         ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
         ("Tus-Max-Size" = u64)))))]
 pub async fn options(State(app): State<Arc<App>>) -> Response {
-    let told: [(HeaderName, String); 3] = [
+    let headers: [(HeaderName, String); 3] = [
         (VERSIONS, VERSION.to_owned()),
         (EXTENSION, EXTENSIONS.to_owned()),
         (MAX_SIZE, app.limits.max_upload_bytes.to_string()),
     ];
-    (StatusCode::NO_CONTENT, told).into_response()
+    (StatusCode::NO_CONTENT, headers).into_response()
 }
 
 /// Describes the supported upload protocol, for an existing upload.
@@ -131,12 +131,12 @@ pub async fn create(
     request: Request,
 ) -> Result<Response, Problem> {
     let begun = create::begin(&app, &visitor, request).await?;
-    let told = [
+    let headers = [
         (header::LOCATION, format!("{UPLOADS}/{}", begun.id)),
         (OFFSET, begun.offset.to_string()),
         (EXPIRES, expires(begun.expires_at)),
     ];
-    Ok((StatusCode::CREATED, told).into_response())
+    Ok((StatusCode::CREATED, headers).into_response())
 }
 
 /// Reports how much of an upload is stored.
@@ -163,14 +163,14 @@ pub async fn head(
         Ok((row, offset))
     })
     .await?;
-    let told = [
+    let headers = [
         (OFFSET, offset.to_string()),
         (LENGTH, row.length.to_string()),
         (METADATA, row.metadata),
         (EXPIRES, expires(row.expires_at)),
         (header::CACHE_CONTROL, "no-store".to_owned()),
     ];
-    Ok(told.into_response())
+    Ok(headers.into_response())
 }
 
 /// Appends a piece to an upload.
@@ -204,8 +204,8 @@ pub async fn patch(
         piece::add(&app, &lock, &row, piece).await
     })
     .await?;
-    let told = [(OFFSET, stands.offset.to_string()), (EXPIRES, expires(stands.expires_at))];
-    Ok((StatusCode::NO_CONTENT, told).into_response())
+    let headers = [(OFFSET, stands.offset.to_string()), (EXPIRES, expires(stands.expires_at))];
+    Ok((StatusCode::NO_CONTENT, headers).into_response())
 }
 
 /// Deletes an upload.
@@ -232,8 +232,8 @@ pub async fn delete(
     .await
 }
 
-/// What a client asks for that can only send GET and POST: the protocol wants the method of this
-/// header to be taken for that of the request.
+/// For clients that can send only GET and POST: the protocol uses the method in this header instead
+/// of the request's own.
 pub async fn by_override(
     app: State<Arc<App>>,
     id: Path<String>,
@@ -274,7 +274,7 @@ pub(super) async fn lock(app: &App, id: &str) -> Result<UploadLock, Problem> {
     })
 }
 
-/// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.
+/// Takes over an upload. It is looked up after locking, because it may be deleted meanwhile.
 async fn taken(app: &App, id: &str) -> Result<(UploadLock, UploadRow), Problem> {
     let lock = lock(app, id).await?;
     let row = app.store.upload(id).await?.ok_or_else(unknown)?;

@@ -1,4 +1,4 @@
-//! Multipart uploads: streamed to disk under names of our own, fsynced, examined, moved into place.
+//! Multipart uploads: streamed to disk under generated names, fsynced, examined, moved into place.
 
 mod ahead;
 mod assess;
@@ -38,18 +38,18 @@ pub use budget::check_space;
 pub use gather::gather;
 pub use keep::Placed;
 
-/// Text fields are short; files stream. Bytes.
+/// Maximum bytes of a text field. Text fields are short; files are streamed.
 const LONGEST_TEXT: usize = 1 << 16;
-/// Longest name of a capture or a job, characters.
+/// Maximum characters of the name of a capture or a job.
 const LONGEST_NAME: usize = 200;
-/// Longest name of a file, bytes. File systems take 255; the rest is for its folders.
+/// Maximum bytes of a file name with its folders; file systems allow 255 for the name alone.
 pub(super) const LONGEST_FILE_NAME: usize = 1024;
-/// Name of the part with the options of a job, as JSON.
+/// Name of the part with a job's options, as JSON.
 pub(super) const OPTIONS: &str = "options";
-/// Names of the parts that are files.
+/// Names of the file parts.
 const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
 
-/// A complete upload in its own directory, not yet a capture. Dropped unused, it is removed.
+/// A complete upload in its own directory, not yet a capture. Dropping it removes the directory.
 #[derive(Debug)]
 pub struct Upload {
     dir: Arc<Incoming>,
@@ -59,28 +59,28 @@ pub struct Upload {
     pub fingerprint: String,
     /// Files received.
     files: usize,
-    /// What it may take on the disk, bytes, where its owner has a quota.
+    /// Bytes it may take on disk, if its owner has a quota.
     most: Option<u64>,
-    /// The uploads in pieces that it was gathered from.
+    /// The resumable uploads that it was gathered from.
     used: Used,
 }
 
-/// Uploads in pieces that are used up when a capture is kept.
+/// Resumable uploads that are deleted when the capture is stored.
 #[derive(Debug, Default)]
 struct Used {
     ids: Vec<String>,
-    /// What they count for while they are there.
+    /// Bytes they count towards the quota until then.
     bytes: u64,
-    /// Nobody writes to them meanwhile.
+    /// Locked, so that no other request writes to them.
     locks: Vec<UploadLock>,
 }
 
 impl Upload {
-    /// An upload that the server makes itself: `make` fills its folder and returns the number of
+    /// An upload that the server creates itself: `make` fills its folder and returns the number of
     /// files.
     ///
     /// # Errors
-    /// Those of `make`; when the disk refuses.
+    /// Those of `make`; when a disk operation fails.
     pub(super) async fn made(
         app: &App,
         most: Option<u64>,
@@ -94,7 +94,7 @@ impl Upload {
         Ok(Self { fields, ..upload })
     }
 
-    /// An upload of which nothing has come.
+    /// An empty upload.
     fn empty(app: &App, most: Option<u64>) -> Result<Self, Problem> {
         let incoming = app.data.incoming();
         let dir = app.uploads.begin(&incoming).map_err(ServerError::io(&incoming))?;
@@ -109,12 +109,12 @@ impl Upload {
     }
 }
 
-/// Receives every part of a multipart body; `known` are the text fields that mean something, `most`
-/// is what it may take on the disk, bytes, where its owner has a quota.
+/// Receives every part of a multipart body; `known` are the accepted text fields, `most` is the
+/// number of bytes it may take on disk, if its owner has a quota.
 ///
 /// # Errors
-/// 400 for a broken body, 413 and 507 when it is too large for us or for the disk, 415 for another
-/// type, 422 for a part that means nothing.
+/// 400 for a malformed body, 413 and 507 if it exceeds the upload limit or the disk, 415 for
+/// another media type, 422 for an unknown part.
 pub async fn receive(
     app: &App,
     request: Request,
@@ -122,7 +122,7 @@ pub async fn receive(
     most: Option<u64>,
 ) -> Result<Upload, Problem> {
     check_space(app)?;
-    // Told before gigabytes are sent.
+    // Refuse before gigabytes are sent.
     let announced = request.body().size_hint().lower();
     if most.is_some_and(|most| announced > most) {
         return Err(over_quota());
@@ -165,7 +165,7 @@ pub async fn receive(
     Ok(upload)
 }
 
-/// The parts of a body that is multipart/form-data.
+/// The parts of a multipart/form-data body.
 async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
     if !is_multipart(request.headers()) {
         return Err(Problem::new(
@@ -186,13 +186,13 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
     Ok((ahead, body))
 }
 
-/// Whether a request says that it is multipart/form-data, in whatever case.
+/// Returns whether the content type is multipart/form-data, ignoring case.
 pub fn is_multipart(headers: &HeaderMap) -> bool {
     is_of_type(headers, "multipart/form-data")
 }
 
 /// # Errors
-/// 422 for a name of a capture or a job that is too long to be shown.
+/// 422 if the name of a capture or a job is too long to display.
 pub fn check_name(name: &str) -> Result<(), Problem> {
     if name.chars().count() <= LONGEST_NAME {
         return Ok(());
@@ -202,14 +202,15 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
         .hint(format!("A name has at most {LONGEST_NAME} characters.")))
 }
 
-/// The file name of a part, as its sender writes it.
+/// The file name of a part, as sent.
 fn file_name(field: &Field<'_>) -> Option<String> {
     let header = field.headers().get(header::CONTENT_DISPOSITION)?;
     let extended = extended_name(&String::from_utf8_lossy(header.as_bytes()));
     extended.or_else(|| field.file_name().map(as_written))
 }
 
-/// The name that some clients write by RFC 5987, and another one for those who do not read that.
+/// The RFC 5987 file name, which some clients send with a plain one for servers that do not read
+/// it.
 fn extended_name(header: &str) -> Option<String> {
     let (_, value) = header.rsplit_once("; filename*=")?;
     let value = value.split(';').next()?.trim().trim_matches('"');
@@ -226,7 +227,7 @@ fn nameless(part: &str) -> Problem {
         .hint("Send each file with its name, as curl -F images=@photograph.jpg does.")
 }
 
-/// A name without the escapes that browsers and curl write into this header.
+/// Removes the escapes that browsers and curl use in this header.
 fn as_written(name: &str) -> String {
     name.replace("%22", "\"").replace("%0D", "\r").replace("%0A", "\n")
 }
@@ -247,7 +248,7 @@ fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {
 
 fn check_field(part: &str, text: &str) -> Result<(), Problem> {
     match part {
-        // JSON may have line breaks between its texts.
+        // JSON may contain line breaks between strings.
         OPTIONS => Ok(()),
         "name" => check_text(text, "/name").and_then(|()| check_name(text)),
         part => check_text(text, &below(part, "")),
@@ -264,10 +265,10 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
         .hint(format!("Known parts: {}.", known.join(", ")))
 }
 
-/// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
+/// Runs `work` to completion even if the client disconnects, so that storing is not interrupted.
 ///
 /// # Errors
-/// Those of the work.
+/// Those of `work`.
 pub async fn to_its_end<T: Send + 'static>(
     work: impl Future<Output = Result<T, Problem>> + Send + 'static,
 ) -> Result<T, Problem> {
@@ -275,7 +276,7 @@ pub async fn to_its_end<T: Send + 'static>(
 }
 
 fn broken(error: &MultipartError) -> Problem {
-    // What the parser cannot read is the body's fault; so is a body that ends or stalls.
+    // A malformed, incomplete or stalled body is the client's fault.
     let status = match error.status() {
         status if status.is_server_error() => StatusCode::BAD_REQUEST,
         status => status,
@@ -295,7 +296,7 @@ struct Receiver<'a> {
 }
 
 impl Receiver<'_> {
-    /// A text field, never more of it than is accepted.
+    /// Reads a text field, up to the maximum length.
     async fn text(&mut self, mut field: Field<'_>) -> Result<String, Problem> {
         let mut text = Vec::new();
         while let Some(chunk) = field.chunk().await.map_err(|error| broken(&error))? {
@@ -343,7 +344,7 @@ mod tests {
     #[test]
     fn names_that_clients_encode_are_read() {
         let named = |rest: &str| extended_name(&format!("form-data; name=\"images\"{rest}"));
-        // As aiohttp and .NET write it.
+        // As sent by aiohttp and .NET.
         for first in ["", "; filename=\"cam0%2FK%C3%BC.jpg\"", "; filename=\"=?utf-8?B?S8O8?=\""] {
             let name = named(&format!("{first}; filename*=utf-8''cam0%2FK%C3%BC%201.jpg"));
             assert_eq!(name.as_deref(), Some("cam0/K\u{fc} 1.jpg"));

@@ -1,4 +1,4 @@
-//! Captures and jobs of uploads in pieces.
+//! Captures and jobs from resumable uploads.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -32,7 +32,7 @@ pub struct CaptureOfUploads {
 }
 
 impl CaptureOfUploads {
-    /// Brings the files together.
+    /// Gathers the files.
     ///
     /// # Errors
     /// Those of [`gather`].
@@ -75,7 +75,7 @@ pub struct JobOfUploads {
 }
 
 impl JobOfUploads {
-    /// Identifies what is asked for: the uploads may be used up already.
+    /// Identifies the request without the files, because the uploads may already be used up.
     fn fingerprint(&self, priority: Priority) -> String {
         let options = priority.beside(&self.options);
         let frames = self.frames.map(|frames| frames.to_string());
@@ -92,10 +92,10 @@ impl JobOfUploads {
     }
 }
 
-/// Creates a capture and a job of it; with a key, at most once.
+/// Creates a capture and a job from it; with a key, at most once.
 ///
 /// # Errors
-/// Those of [`gather`], of the capture and of the job: then the uploads are as they were.
+/// Those of [`gather`], of the capture and of the job. On an error the uploads are unchanged.
 pub(super) async fn create_job(
     app: &Arc<App>,
     body: JobOfUploads,
@@ -105,12 +105,12 @@ pub(super) async fn create_job(
     let priority = Priority::asked(body.priority.as_ref(), &visitor)?;
     let fingerprint = body.fingerprint(priority);
     let request = Request { key, fingerprint: &fingerprint };
-    // A request that is repeated has its job, and its uploads are used up.
+    // A repeated request already has its job, and its uploads are used up.
     if let Some(seen) = app.store.answered(&request).await? {
         return Ok(seen);
     }
     match make(app, body, priority, &request, visitor).await {
-        // The first one may have used them up meanwhile.
+        // The first request may have used them up meanwhile.
         Err(problem) => app.store.answered(&request).await?.ok_or(problem),
         made => made,
     }
@@ -137,7 +137,7 @@ async fn make(
         let request = Request { key: key.as_deref(), fingerprint: &fingerprint };
         let placed = upload.place(&app, &report, &visitor).await?;
         let creation = store(&app, &placed, &order, &request, &visitor).await;
-        // The uploads are still there where no job was made of them.
+        // Without a job the uploads still exist.
         if matches!(creation, Ok(Creation::Created(_))) {
             placed.finish(&app).await;
         } else {

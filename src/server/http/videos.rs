@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/videos`: videos of a result, made one at a time in the background.
+//! `/v1/jobs/{id}/videos`: videos of a result, rendered one at a time in the background.
 
 use std::sync::Arc;
 
@@ -27,7 +27,7 @@ use crate::store::state::JobState;
 use crate::store::{VideoCreation, VideoRoom, VideoRow};
 use crate::worker::is_installed;
 
-/// After so many seconds one of those that wait may have been made.
+/// Seconds after which a queued video may be finished.
 const RETRY: u32 = 60;
 
 /// The path of the camera.
@@ -133,7 +133,7 @@ impl From<JobState> for VideoState {
             JobState::Queued => Self::Queued,
             JobState::Running => Self::Running,
             JobState::Succeeded => Self::Succeeded,
-            // A video that nobody wants is deleted and not cancelled.
+            // An unwanted video is deleted, not cancelled.
             JobState::Failed | JobState::Cancelled => Self::Failed,
         }
     }
@@ -248,7 +248,7 @@ pub async fn create(
     let cameras = plan.cameras(&views).map_err(|error| bad_plan(&error))?;
     let size = cameras.first().map(|camera| camera.intrinsics);
     let size = size.ok_or_else(Problem::internal)?;
-    // As the views are now: it is of this size whenever it is made.
+    // The size of the views now, whenever it is rendered.
     (plan.width, plan.height) = (Some(size.width), Some(size.height));
     upload::check_space(&app)?;
     bytes_left(&app, &visitor).await?;
@@ -327,7 +327,7 @@ pub async fn download(
     let sent = Sent {
         path: app.data.video(&id),
         bytes,
-        // What has an id does not change.
+        // A video with an id does not change.
         etag: format!("\"{id}\""),
         media_type: "video/mp4",
     };
@@ -360,7 +360,7 @@ async fn known(app: &App, job: &str, id: &str) -> Result<VideoRow, Problem> {
     row.ok_or_else(|| Problem::not_found("video"))
 }
 
-/// Refuses what would wait for ever: whoever runs the server must install ffmpeg.
+/// Refuses a video that would wait forever, because ffmpeg is not installed on the server.
 fn check_ffmpeg(app: &App) -> Result<(), Problem> {
     if is_installed(&app.config.ffmpeg) {
         return Ok(());

@@ -117,23 +117,23 @@ pub struct OnItsWay {
 pub async fn create(
     State(app): State<Arc<App>>,
     Extension(visitor): Extension<Visitor>,
-    Json(wanted): Json<NewWebhook>,
+    Json(new): Json<NewWebhook>,
 ) -> Result<impl IntoResponse, Problem> {
-    let types = types(&wanted)?;
+    let types = types(&new)?;
     // Notifications reveal what `jobs:read` protects.
     let reads = |token: &TokenRow| token.scopes.allow(Scope::JobsRead);
     if !visitor.token().is_none_or(reads) {
         let detail = "This token lacks the scope `jobs:read`.";
         return Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail));
     }
-    check_url(&wanted.url, app.config.inner_webhooks).map_err(|reason| {
+    check_url(&new.url, app.config.inner_webhooks).map_err(|reason| {
         Problem::unprocessable("bad_url", format!("The URL cannot be used: {reason}."))
             .pointer("/url")
     })?;
     let secret = Secret::new().map_err(|error| unmade(&error))?;
     let row = WebhookRow {
         id: new_id().map_err(|error| unmade(&error))?,
-        url: wanted.url,
+        url: new.url,
         secret: secret.0,
         types,
         owner: visitor.owner().map(str::to_owned),
@@ -148,7 +148,7 @@ pub async fn create(
             .hint("Delete webhooks that are no longer needed."));
     }
     let location = format!("/v1/webhooks/{}", row.id);
-    let made = MadeWebhook { secret: secret_text(&row.secret), webhook: told(row) };
+    let made = MadeWebhook { secret: secret_text(&row.secret), webhook: shown(row) };
     let answer = [(header::LOCATION, location)];
     Ok((StatusCode::CREATED, answer, axum::Json(made)))
 }
@@ -158,8 +158,8 @@ fn unmade(error: &dyn Display) -> Problem {
     Problem::internal()
 }
 
-fn types(wanted: &NewWebhook) -> Result<Vec<String>, Problem> {
-    let Some(types) = &wanted.types else {
+fn types(new: &NewWebhook) -> Result<Vec<String>, Problem> {
+    let Some(types) = &new.types else {
         return Ok(USUAL.map(str::to_owned).to_vec());
     };
     let unknown = types.iter().position(|one| !TYPES.contains(&one.as_str()));
@@ -188,7 +188,7 @@ pub async fn list(
     Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Webhooks>, Problem> {
     let rows = app.store.webhooks(visitor.sees_only()).await?;
-    let webhooks = rows.into_iter().map(told).collect();
+    let webhooks = rows.into_iter().map(shown).collect();
     Ok(axum::Json(Webhooks { webhooks }))
 }
 
@@ -276,7 +276,7 @@ fn check_not_gone(row: &WebhookRow) -> Result<(), Problem> {
     Err(Problem::conflict("gone", detail).hint("Delete the webhook and create it again."))
 }
 
-fn told(row: WebhookRow) -> Webhook {
+fn shown(row: WebhookRow) -> Webhook {
     Webhook {
         id: row.id,
         url: row.url,

@@ -1,4 +1,4 @@
-//! Work that only one of the processes sharing a database does at a time.
+//! Work that only one of the processes sharing a database may do at a time.
 
 use sqlx::postgres::{PgConnectOptions, PgConnection};
 use sqlx::{ConnectOptions, Connection, Executor};
@@ -9,8 +9,8 @@ use crate::error::Result;
 /// Advisory lock of the process that collects unnamed blobs.
 const COLLECTING: i64 = 0x66_6c65_6402;
 
-/// The turn to collect, held until dropped. It is not a strict lock: a process that loses its
-/// connection loses the turn without notice, so the work must stay correct if two processes do it.
+/// The turn to collect, held until dropped. It is not a strict lock: a process can lose it
+/// unnoticed with its connection, so the work must stay correct if two processes do it.
 #[derive(Debug)]
 pub struct Alone(Option<PgConnection>);
 
@@ -32,9 +32,9 @@ impl Store {
         let options: PgConnectOptions = url.parse()?;
         let mut connection = options.connect().await?;
         // The connection is idle for minutes, and a machine that is cut off must not keep the turn.
-        let told = "SET tcp_keepalives_idle = 30; SET tcp_keepalives_interval = 10;
+        let settings = "SET tcp_keepalives_idle = 30; SET tcp_keepalives_interval = 10;
             SET tcp_keepalives_count = 3";
-        connection.execute(told).await?;
+        connection.execute(settings).await?;
         let has_it = sqlx::query_scalar("SELECT pg_try_advisory_lock($1)")
             .bind(COLLECTING)
             .fetch_one(&mut connection)

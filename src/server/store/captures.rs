@@ -18,7 +18,7 @@ pub struct CaptureRow {
     pub name: String,
     /// Number of usable photographs.
     pub accepted: u32,
-    /// The assessments, as answered.
+    /// The assessments, as returned to clients.
     pub report: serde_json::Value,
     /// Milliseconds since 1970.
     pub created_at: i64,
@@ -148,7 +148,7 @@ impl Store {
         .await
         .map_err(ServerError::from);
         match done {
-            // A job of it was created after the check.
+            // A job was created from it after the check.
             Err(error) if error.is_of_a_name() => Ok(false),
             done => Ok(done?.rows_affected() == 1),
         }

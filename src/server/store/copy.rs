@@ -55,7 +55,7 @@ impl Store {
         expect_no_rows(&mut to).await?;
         let mut copied = 0;
         for table in COPIED {
-            // A link is a token that another one has made, a video a job made of another.
+            // A share link refers to the token that created it, a video to its job.
             let order = match table {
                 "jobs" => " ORDER BY video_of IS NOT NULL",
                 "tokens" => " ORDER BY made_by IS NOT NULL",
@@ -150,8 +150,8 @@ mod tests {
     use crate::store::Engine;
     use crate::store::tests::of_each;
 
-    /// Tables that are not copied: pieces of uploads and workers are of one machine, an identity of
-    /// one database.
+    /// Tables that are not copied: uploads and workers belong to one machine, an identity to one
+    /// database.
     const LEFT: [&str; 3] = ["uploads", "workers", "collections"];
 
     #[tokio::test]

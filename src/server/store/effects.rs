@@ -10,20 +10,20 @@ use super::jobs::JobError;
 use crate::error::{Result, ServerError};
 use crate::store::state::{JobState, Transition};
 
-/// Stands for an unknown time, speed or fraction.
+/// The stored value for an unknown time, speed or fraction.
 const UNKNOWN: f64 = -1.0;
 
 /// How an attempt ended.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Settlement {
-    /// The job is done.
+    /// The job succeeded.
     Finished {
         /// The delivered round.
         best_round: u32,
     },
-    /// The video is made.
+    /// The video was rendered.
     Filmed {
-        /// How large it is.
+        /// Its size in bytes.
         bytes: u64,
     },
     /// It failed for good, or is queued again after `retry_in_ms`.
@@ -50,7 +50,7 @@ pub struct Progress {
     pub steps_per_second: Option<f64>,
     /// Fraction of the whole job, 0..=1, if updated.
     pub progress: Option<f64>,
-    /// Seconds left, updated with the fraction; `None` where nobody knows.
+    /// Seconds left, updated with the fraction; `None` if unknown.
     pub eta_seconds: Option<f64>,
 }
 
@@ -67,7 +67,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         .bind(i64::from(*round))
         .bind(job),
         Event::StageFinished { stage, round, seconds, skipped } => sqlx::query(if *skipped {
-            // It was found on disk; the attempt that made it has recorded its time.
+            // It was found on disk; an earlier attempt has recorded its time.
             "INSERT INTO stages (job_id, stage, round, seconds) VALUES ($1, $2, $3, $4)
              ON CONFLICT DO NOTHING"
         } else {
@@ -196,7 +196,8 @@ pub(super) async fn advance(tx: &mut Tx, job: &str, progress: &Progress) -> Resu
     )
     .bind(stage.map(|(stage, ..)| stage.name()))
     .bind(stage.map(|(_, round, ..)| i64::from(round)))
-    // Not NULL: sqlx 0.9 declares a missing f64 to PostgreSQL as an f32, and so the next value.
+    // Not NULL: sqlx 0.9 declares a missing f64 to PostgreSQL as an f32, and then the next value
+    // too.
     .bind(progress.steps_per_second.unwrap_or(UNKNOWN))
     .bind(progress.progress.unwrap_or(UNKNOWN))
     .bind(progress.eta_seconds.unwrap_or(UNKNOWN))

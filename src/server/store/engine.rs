@@ -98,7 +98,7 @@ pub(super) struct Tx {
     pub(super) engine: Engine,
     /// When it began, in milliseconds since 1970 on the clock that all writers share.
     pub(super) now: i64,
-    /// What its commit changes for those who wait.
+    /// What its commit changes for waiting tasks.
     pub(super) change: Option<Change>,
     notifier: Arc<Notifier>,
 }
@@ -176,8 +176,8 @@ pub(super) async fn sqlite(path: &Path, create: bool, connections: u32) -> Resul
         .after_connect(move |connection, _| {
             Box::pin(async move {
                 // A database that is only read keeps its settings.
-                let told = if create { PRAGMAS } else { "PRAGMA busy_timeout = 10000" };
-                connection.execute(told).await.map(drop)
+                let settings = if create { PRAGMAS } else { "PRAGMA busy_timeout = 10000" };
+                connection.execute(settings).await.map(drop)
             })
         })
         .after_release(|connection, _| Box::pin(has_no_transaction(connection)));
@@ -192,10 +192,10 @@ pub(super) async fn postgres(url: &str) -> Result<AnyPool> {
         .after_connect(|connection, _| {
             Box::pin(async move {
                 // A client that lost its connection must not hold its locks for long.
-                let told =
+                let settings =
                     "SET lock_timeout = '10s'; SET idle_in_transaction_session_timeout = '20s';
                     SET tcp_user_timeout = '20s'";
-                connection.execute(told).await.map(drop)
+                connection.execute(settings).await.map(drop)
             })
         });
     Ok(pool.connect_with(options(url)?).await?)

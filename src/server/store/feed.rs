@@ -1,5 +1,5 @@
-//! The event feeds of jobs that clients watch. This process reads the events of a job once, however
-//! many streams it sends of them; each stream asks for those after the last that it sent.
+//! Event feeds of watched jobs. This process reads the events of a job once, however many streams
+//! it sends them to; each stream asks for those after the last one it sent.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -7,19 +7,19 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use super::{EventRow, Store};
 use crate::error::Result;
 
-/// Events read at once, and kept of a job that is watched.
+/// Maximum events read at once, and kept of a watched job.
 const RECENT: usize = 200;
 
-/// What follows a number.
+/// The events after a number.
 #[derive(Debug, Default, PartialEq)]
 pub struct Next {
-    /// In order; none of them is missing.
+    /// In order, without gaps.
     pub events: Vec<Arc<EventRow>>,
-    /// Whether nothing comes after these: the job has ended or is gone.
+    /// Whether these are the last events: the job has ended or is gone.
     pub is_all: bool,
 }
 
-/// The feeds of the jobs that are watched.
+/// The feeds of watched jobs.
 pub(super) type Feeds = Mutex<HashMap<String, Weak<EventFeed>>>;
 
 impl Store {
@@ -46,9 +46,9 @@ pub struct EventFeed {
 
 #[derive(Debug)]
 struct Recent {
-    /// What had changed when it was read.
+    /// The version of the database when it was last read.
     version: Option<u64>,
-    /// `events` are all that follow this number.
+    /// The number after which `events` are complete.
     start: i64,
     events: VecDeque<Arc<EventRow>>,
     is_over: bool,
@@ -61,10 +61,10 @@ impl Recent {
 }
 
 impl EventFeed {
-    /// The events after `seq`, as of `version` of what the database has, or later.
+    /// Returns the events after `seq`, as of database version `version` or later.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn after(&self, store: &Store, seq: i64, version: u64) -> Result<Next> {
         let mut recent = self.recent.lock().await;
         let recent = recent.get_or_insert_with(|| Recent {
@@ -77,7 +77,7 @@ impl EventFeed {
             self.read(store, recent, version).await?;
         }
         if seq < recent.start {
-            // Far behind: it catches up by itself.
+            // A stream far behind reads the database itself.
             let rows = store.events_after(&self.job, seq, RECENT as u32).await?;
             let events = rows.into_iter().map(Arc::new).collect();
             return Ok(Next { events, is_all: false });
@@ -89,12 +89,13 @@ impl EventFeed {
     }
 
     async fn read(&self, store: &Store, recent: &mut Recent, version: u64) -> Result<()> {
-        // The state is read before the events: an end that comes in between has its event read.
+        // Read the state before the events, so that the final event of a job that ends in between
+        // is read.
         let job = store.job(&self.job).await?;
         let is_over = job.is_none_or(|job| job.state.is_terminal());
         let last = recent.last();
         let rows = store.events_after(&self.job, last, RECENT as u32).await?;
-        // There may be more of them, which the next look takes.
+        // If the limit was reached, there may be more, which the next read returns.
         recent.version = (rows.len() < RECENT).then_some(version);
         recent.is_over = is_over;
         recent.events.extend(rows.into_iter().map(Arc::new));
@@ -116,7 +117,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_stream_that_is_behind_misses_nothing_and_the_end_comes_last() {
+    async fn a_late_stream_misses_no_event_and_gets_the_end_last() {
         let (_dir, store) = in_a_file().await;
         keep_capture(&store, "c", None, &[]).await;
         create(&store, "j").await;
@@ -131,7 +132,7 @@ mod tests {
         for round in 0..500 {
             store.record(&claim.lease, &event(round)).await.expect("told");
         }
-        // What has not changed as far as this process knows is not read again.
+        // The database is not read again until this process sees a change.
         let next = ahead.after(&store, 2, 1).await.expect("read");
         assert_eq!(next, Next::default());
         store.settle(&claim.lease, &Settlement::Stopped).await.expect("settled");

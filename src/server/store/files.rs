@@ -1,5 +1,5 @@
-//! Names of the files that captures and jobs have in the blob store. A server that keeps its files
-//! in its data directory has none here.
+//! Names of the files of captures and jobs in the blob store. A server that keeps its files in its
+//! data directory has none here.
 
 use std::collections::HashMap;
 

@@ -52,8 +52,8 @@ mod tests {
             sqlx::query(later).execute(&store.pool).await.expect("kept");
             assert_eq!(store.identity().await.expect("read"), "later");
             for (identity, is_known) in [(&*first, true), ("later", true), ("disputed", false)] {
-                let told = store.is_known_as(identity).await.expect("asked");
-                assert_eq!(told, is_known, "{identity}");
+                let known = store.is_known_as(identity).await.expect("asked");
+                assert_eq!(known, is_known, "{identity}");
             }
         }
     }

@@ -38,9 +38,9 @@ pub struct NewJob {
 pub struct JobError {
     /// Name of an error kind.
     pub code: String,
-    /// What happened.
+    /// A description of the error.
     pub detail: String,
-    /// What to do about it.
+    /// What the user can do about it.
     pub hint: String,
 }
 
@@ -51,7 +51,7 @@ pub struct JobRow {
     pub id: String,
     /// The user's name for it.
     pub name: String,
-    /// The user's words for it.
+    /// The user's tags.
     pub tags: Vec<String>,
     /// Its capture.
     pub capture_id: String,
@@ -97,7 +97,7 @@ pub struct JobRow {
     pub priority: i64,
     /// The owner of its lease: a worker and one of its slots.
     pub worker: Option<String>,
-    /// The job whose result it shows, where it is a video.
+    /// The job whose result it shows, if it is a video.
     pub video_of: Option<String>,
 }
 
@@ -110,7 +110,7 @@ pub struct Needs {
     pub memory: u64,
 }
 
-/// A job with everything it has reported so far.
+/// A job with all its reports so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToldJob {
     /// Its row.
@@ -141,7 +141,7 @@ pub struct JobFilter<'a> {
 /// Jobs with their queue position and current stage. The queue has the order of `Store::claim`,
 /// except for the turns of owners. A stage that began before the last state change belongs to an
 /// earlier attempt, so only the newest event of both kinds counts.
-const TOLD: &str = "SELECT jobs.*,
+const DETAILED: &str = "SELECT jobs.*,
     CASE state WHEN 'queued' THEN
         (SELECT COUNT(*) FROM jobs AS ahead WHERE ahead.state = 'queued'
          AND ahead.video_of IS NULL AND (-ahead.priority, ahead.created_at, ahead.id)
@@ -155,7 +155,7 @@ const TOLD: &str = "SELECT jobs.*,
     FROM jobs";
 
 impl Store {
-    /// The job of this id; videos are no jobs here.
+    /// Returns the job with this id, unless it is a video.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -167,7 +167,7 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// The newest jobs older than `cursor`, newest first.
+    /// Returns the newest jobs older than `cursor`, newest first.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -185,7 +185,7 @@ impl Store {
             (only.capture, "capture_id = #"),
             (only.owner, "capture_id IN (SELECT id FROM captures WHERE owner = #)"),
         ];
-        let mut page = format!("{TOLD} WHERE video_of IS NULL");
+        let mut page = format!("{DETAILED} WHERE video_of IS NULL");
         let mut bound = Vec::new();
         for (value, condition) in conditions.iter().filter_map(|(v, c)| Some(((*v)?, c))) {
             bound.push(value);
@@ -195,7 +195,7 @@ impl Store {
         let page = sqlx::query(sqlx::AssertSqlSafe(page));
         let page = bound.into_iter().fold(page, sqlx::query::Query::bind);
         let rows = page.fetch_all(&self.pool).await?;
-        self.told(&rows).await
+        self.detailed(&rows).await
     }
 
     /// Returns the job with this id and everything it has reported.
@@ -203,23 +203,23 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
-        let one = format!("{TOLD} WHERE id = $1 AND video_of IS NULL");
+        let one = format!("{DETAILED} WHERE id = $1 AND video_of IS NULL");
         let row = sqlx::query(sqlx::AssertSqlSafe(one)).bind(id).fetch_optional(&self.pool).await?;
         let rows: Vec<AnyRow> = row.into_iter().collect();
-        Ok(self.told(&rows).await?.pop())
+        Ok(self.detailed(&rows).await?.pop())
     }
 
-    /// Adds what the jobs have reported, in three statements for any number of jobs.
-    async fn told(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
+    /// Adds the reports of the jobs, in three statements for any number of jobs.
+    async fn detailed(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
         let jobs: Vec<JobRow> = rows.iter().map(from_row).collect::<Result<_>>()?;
         let ids: Vec<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
         let ids = json!(ids).to_string();
         let mut warnings = warnings_of(&self.pool, self.engine, &ids).await?;
         let mut stages = stages_of(&self.pool, self.engine, &ids).await?;
         let mut scores = scores_of(&self.pool, self.engine, &ids).await?;
-        let told = jobs.into_iter().zip(rows).map(|(job, row)| {
+        let detailed = jobs.into_iter().zip(rows).map(|(job, row)| {
             let mut stages = stages.remove(&job.id).unwrap_or_default();
-            stages.sort_by_key(|told: &StageSeconds| (told.round, place(&told.stage)));
+            stages.sort_by_key(|done: &StageSeconds| (done.round, place(&done.stage)));
             Ok(ToldJob {
                 warnings: warnings.remove(&job.id).unwrap_or_default(),
                 stages,
@@ -229,7 +229,7 @@ impl Store {
                 row: job,
             })
         });
-        told.collect()
+        detailed.collect()
     }
 
     /// Counts the jobs in each state.
@@ -266,7 +266,7 @@ impl Store {
         Ok(next)
     }
 
-    /// Changes what is given of a job. `Ok(false)` if it does not exist.
+    /// Changes a job's name and tags, if given. `Ok(false)` if it does not exist.
     ///
     /// # Errors
     /// When a database operation fails.

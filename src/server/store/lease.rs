@@ -30,7 +30,7 @@ pub struct Claim {
     pub job: JobRow,
 }
 
-/// What a worker's turn does.
+/// The kind of jobs that a worker's slot runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JobKind {
     /// Scenes of captures.
@@ -40,7 +40,7 @@ pub enum JobKind {
 }
 
 impl JobKind {
-    /// What holds of a row of this kind.
+    /// The SQL condition for rows of this kind.
     fn condition(self) -> &'static str {
         match self {
             Self::Scene => "jobs.video_of IS NULL",
@@ -49,7 +49,7 @@ impl JobKind {
     }
 }
 
-/// What a machine has that looks for work.
+/// The resources of a machine that looks for jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
     /// Whether it has a hardware GPU.
@@ -64,8 +64,8 @@ impl Machine {
 }
 
 impl Store {
-    /// Takes a scene that waits or whose lease has run out, but none of `running`, on a machine
-    /// that takes any.
+    /// Claims a queued scene, or one whose lease has expired and that is not in `running`, for a
+    /// machine that fits any job.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -78,8 +78,8 @@ impl Store {
         self.claim_fit(JobKind::Scene, owner, lease_ms, running, Machine::ANY).await
     }
 
-    /// The same of any kind, on a machine that has just so much: of the highest priority, of the
-    /// owner of whom the fewest run, the oldest.
+    /// Like [`Store::claim`], for a kind of job and the resources of a machine. Chooses the highest
+    /// priority, then the owner with the fewest running jobs, then the oldest job.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -94,8 +94,8 @@ impl Store {
         let mut tx = self.begin().await?;
         let now = tx.now;
         let clock = self.lease_clock(&tx);
-        // No two workers can take the same job: on SQLite there is one writer, on PostgreSQL a row
-        // that somebody else looks at is passed over.
+        // No two workers can claim the same job: SQLite has one writer, and PostgreSQL skips a row
+        // that another transaction has locked.
         let waiting = next_job(self.engine, kind);
         let waiting = sqlx::query_as::<_, (String, String)>(sqlx::AssertSqlSafe(waiting))
             .bind(now)
@@ -240,20 +240,20 @@ impl Store {
             "SELECT told FROM jobs WHERE id = $1 AND epoch = $2 AND state = 'running'{}",
             tx.engine.locking()
         );
-        let told = sqlx::query_scalar(sqlx::AssertSqlSafe(held))
+        let count = sqlx::query_scalar(sqlx::AssertSqlSafe(held))
             .bind(&lease.job)
             .bind(lease.epoch)
             .fetch_optional(&mut *tx)
             .await?;
-        match told {
-            Some(told) => Ok((tx, told)),
+        match count {
+            Some(count) => Ok((tx, count)),
             None => Err(ServerError::LeaseLost(lease.job.clone())),
         }
     }
 }
 
-/// Asks for the job that is next, and makes its row this transaction's: of the time $1, none of $2,
-/// with leases that end before $3, on a machine with GPU $4 and memory $5.
+/// The query that selects and locks the next job: at time $1, not one of $2, leases that end before
+/// $3 count as expired, on a machine with GPU $4 and memory $5.
 fn next_job(engine: Engine, kind: JobKind) -> String {
     format!(
         "WITH busy AS (

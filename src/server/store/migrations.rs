@@ -24,7 +24,8 @@ pub(super) const SQLITE: [(i64, &str, &str); 20] = [
     (20, "tags", include_str!("../../../migrations/0020_tags.sql")),
 ];
 
-/// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
+/// The same for PostgreSQL: its first one equals all of SQLite's up to then, and has the same
+/// number.
 pub(super) const POSTGRES: [(i64, &str, &str); 6] = [
     (15, "everything", include_str!("../../../migrations/postgres/0015_everything.sql")),
     (16, "traces", include_str!("../../../migrations/postgres/0016_traces.sql")),

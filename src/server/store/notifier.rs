@@ -1,5 +1,6 @@
-//! Wakes those who wait for a change of the database: after each commit of this process, and where
-//! PostgreSQL tells of the commit of another. A wake-up is a hint; the truth stands in the tables.
+//! Wakes tasks that wait for a database change: after each commit of this process, and when
+//! PostgreSQL reports another process's commit. A wake-up is only a hint; the tables are
+//! authoritative.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -14,22 +15,22 @@ use crate::error::Result;
 
 /// The channel of PostgreSQL that carries changes of jobs.
 const CHANNEL: &str = "fled_jobs";
-/// The payload where a job waits; any other change of a job carries its id.
+/// The payload if a job is queued; any other change of a job carries the job's id.
 const WAITING: &str = "waiting";
-/// Changes that other processes make wake this one at most this often: of a thousand running jobs
-/// one changes all the time.
+/// Changes by other processes wake this one at most this often: with a thousand running jobs, one
+/// of them changes all the time.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// What a transaction changes.
+/// The change that a transaction makes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Change {
-    /// A job, or what webhooks are to send.
+    /// A job, or pending webhook deliveries.
     Job,
-    /// A job, which waits since then.
+    /// A job that is now queued.
     Queue,
 }
 
-/// Counts changes; a count that grows wakes its watchers.
+/// Counts changes; an increase wakes the watchers.
 #[derive(Debug, Default)]
 pub(super) struct Notifier {
     changes: watch::Sender<u64>,
@@ -51,13 +52,13 @@ impl Store {
         self.notifier.changes.subscribe()
     }
 
-    /// A count that grows whenever a job may wait for a worker.
+    /// A count that grows whenever a job may be ready for a worker.
     pub fn queue(&self) -> watch::Receiver<u64> {
         self.notifier.queue.subscribe()
     }
 
-    /// Passes on what other processes change, until the server stops. Every `look` it wakes
-    /// everybody, whatever PostgreSQL tells. With SQLite there is no other process.
+    /// Passes on changes by other processes, until the server stops. Wakes all watchers every
+    /// `look`, even without a notification from PostgreSQL. With SQLite there is no other process.
     pub async fn keep_listening(self, look: Duration, shutdown: CancellationToken) {
         let Some(url) = self.url.as_deref() else {
             return;
@@ -76,18 +77,18 @@ impl Store {
         }
     }
 
-    /// Returns when the connection is lost, and with it what was told meanwhile.
+    /// Returns when the connection is lost; notifications are then lost until the next call.
     async fn listen(&self, url: &str, look: Duration) -> Result<Infallible> {
         let mut listener = PgListener::connect(url).await?;
         listener.listen(CHANNEL).await?;
-        // The first tick comes at once: for what happened while nobody listened.
+        // The first tick comes at once, to catch changes from before the connection.
         let mut look = interval(look);
         let mut pause = interval(PAUSE);
         pause.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut has_changed = false;
         loop {
             tokio::select! {
-                told = listener.recv() => match told?.payload() {
+                notice = listener.recv() => match notice?.payload() {
                     WAITING => self.notifier.notify(Change::Queue),
                     _ => has_changed = true,
                 },
@@ -102,7 +103,7 @@ impl Store {
 }
 
 impl Tx {
-    /// Wakes everybody who waits for a change of this job, once the transaction is committed.
+    /// Wakes all watchers of this job's changes, once the transaction is committed.
     pub(super) async fn notify(&mut self, job: &str, change: Change) -> Result<()> {
         self.change = self.change.max(Some(change));
         if self.engine == Engine::Postgres {
@@ -122,7 +123,7 @@ mod tests {
     use crate::store::tests::{of_a_server, of_each};
 
     #[tokio::test]
-    async fn a_commit_wakes_those_who_wait_for_it_and_a_rollback_wakes_nobody() {
+    async fn a_commit_wakes_its_watchers_and_a_rollback_wakes_none() {
         for (_dir, store) in of_each().await {
             let (changes, queue) = (store.changes(), store.queue());
             let woken = || {
@@ -147,14 +148,14 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_commit_of_another_process_wakes_those_who_wait_here() {
+    async fn a_commit_of_another_process_wakes_watchers_here() {
         let (_dir, here) = of_a_server().await;
         let url = here.url.clone().expect("PostgreSQL");
         let there = Store::at(&url).await.expect("open");
         let (mut queue, shutdown) = (here.queue(), CancellationToken::new());
         let rarely = Duration::from_secs(600);
         let listening = tokio::spawn(here.keep_listening(rarely, shutdown.clone()));
-        // It listens now.
+        // Now it is listening.
         queue.changed().await.expect("open");
         let mut tx = there.begin().await.expect("begun");
         tx.notify("j", Change::Queue).await.expect("noted");

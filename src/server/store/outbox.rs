@@ -9,7 +9,7 @@ use crate::error::{Result, ServerError};
 
 /// Inserts the webhook deliveries of an event, inside the transaction of its effect.
 pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Result<()> {
-    let told = match kind {
+    let event = match kind {
         "state" => format!("job.{}", data["state"].as_str().unwrap_or_default()),
         "round_finished" => "round.finished".to_owned(),
         _ => return Ok(()),
@@ -33,7 +33,7 @@ pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Re
     .await?;
     for address in addresses {
         let types: Vec<String> = typed(&address)?;
-        if !types.contains(&told) {
+        if !types.contains(&event) {
             continue;
         }
         let id: String = address.try_get("id")?;
@@ -53,8 +53,8 @@ pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Re
         )
         .bind(format!("msg_{job}_{seq}_{id}"))
         .bind(id)
-        .bind(&told)
-        .bind(body(&told, tx.now, &about))
+        .bind(&event)
+        .bind(body(&event, tx.now, &about))
         .bind(tx.now)
         .execute(&mut **tx)
         .await?;

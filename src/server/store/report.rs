@@ -1,6 +1,6 @@
 //! Reports of a worker on its job. Each is a transaction that first checks the epoch, and is
-//! repeated if the database was away and its answer is lost. The job counts the reports under a
-//! lease, so that a report whose answer was lost is not applied twice.
+//! repeated if the database was unavailable and its answer is lost. The job counts the reports
+//! under a lease, so that a report whose answer was lost is not applied twice.
 
 use std::time::{Duration, Instant};
 
@@ -15,13 +15,14 @@ use super::{Engine, Store, events, files};
 use crate::error::{Result, ServerError};
 use crate::store::state::JobState;
 
-/// How long to retry while the database is away: no longer than a worker may run without contact.
+/// How long to retry while the database is unavailable: no longer than a worker may run without
+/// contact.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// One thing to report.
+/// A report.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Report<'a> {
     /// An event of the job's process.
@@ -123,8 +124,8 @@ impl Store {
         report: Report<'_>,
         before: &mut Option<i64>,
     ) -> Result<()> {
-        let (mut tx, told) = self.fenced_with_told(lease).await?;
-        if told > *before.get_or_insert(told) {
+        let (mut tx, count) = self.fenced_with_told(lease).await?;
+        if count > *before.get_or_insert(count) {
             // The transaction whose answer was lost was committed.
             return Ok(());
         }
@@ -148,8 +149,9 @@ impl Store {
         tx.commit().await
     }
 
-    /// Returns whether an error may pass because a shared database is briefly away, and there is
-    /// patience left. A database file does not go away, and SQLite itself waits for other writers.
+    /// Returns whether a retry may succeed: a shared database may be briefly unavailable, and there
+    /// is time left. A database file does not become unavailable, and SQLite itself waits for other
+    /// writers.
     fn may_pass(&self, error: &ServerError, since: Instant) -> bool {
         self.engine == Engine::Postgres && since.elapsed() < PATIENCE && error.passes()
     }

@@ -23,12 +23,12 @@ pub struct StageSeconds {
     pub seconds: f64,
 }
 
-/// How the delivered round compares with photographs.
+/// The score of the delivered round against photographs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Score {
-    /// The other side of the comparison with its renders.
+    /// What its renders are compared with.
     pub reference: Reference,
-    /// The views that count.
+    /// The views used for the score.
     pub split: Split,
     /// Mean PSNR after a per-channel colour fit, dB.
     pub psnr_cc_db: f64,
@@ -37,8 +37,8 @@ pub struct Score {
 }
 
 impl Score {
-    /// The score of a round's metrics: of held-out views if there are any, and of ground truth if
-    /// there is any. `None` where an earlier build recorded none that compares rounds.
+    /// The score of a round's metrics: of held-out views and against ground truth, where available.
+    /// `None` if an earlier build recorded no score that compares rounds.
     fn of(metrics: &str) -> Option<Self> {
         #[derive(Deserialize)]
         struct Judged {
@@ -56,8 +56,8 @@ impl Score {
             })
         };
         let record = of_split(Split::HeldOut).or_else(|| of_split(Split::Train))?;
-        // A render agrees with a shaken photograph once it is shaken as that is. Up to 1 it is an
-        // SSIM of earlier builds.
+        // A render matches a shaken photograph once it is shaken in the same way. Scores up to 1
+        // are SSIMs of earlier builds.
         let agreement = judged.score.filter(|score| !has_truth && *score > 1.0);
         Some(Self {
             reference,
@@ -68,7 +68,7 @@ impl Score {
     }
 }
 
-/// Something the user should know.
+/// A warning for the user.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WarningRow {
     /// Stable code.
@@ -120,7 +120,7 @@ impl Store {
         .await?)
     }
 
-    /// Caches the digest of a result file; of a job that was deleted meanwhile, it caches nothing.
+    /// Caches the digest of a result file. Does nothing if the job was deleted meanwhile.
     ///
     /// # Errors
     /// When a database operation fails.

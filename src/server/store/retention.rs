@@ -33,7 +33,7 @@ impl Default for Retention {
 /// Ids of deleted jobs and captures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Expired {
-    /// Their folders are to be removed. Videos go with their jobs, and are among them.
+    /// Jobs whose folders are to be removed, including videos, which are deleted with their jobs.
     pub jobs: Vec<String>,
     /// Captures whose folders are to be removed.
     pub captures: Vec<String>,
@@ -162,7 +162,7 @@ mod tests {
         notice: Duration::from_secs(7 * 24 * 3600),
     };
 
-    /// A job that was cancelled, each of the calls a moment later than the one before.
+    /// Creates a cancelled job; each call ends one slightly later than the call before.
     async fn ended(store: &Store, id: &str, capture: &str) {
         let job = NewJob { capture_id: capture.to_owned(), ..new_job(id) };
         let made = store.create_job(&job, None, "", room(100)).await;

@@ -62,7 +62,8 @@ impl Store {
     }
 }
 
-/// Sets the options of a job and deletes its results. Those that remain true are reported again.
+/// Sets the options of a job and deletes its results. Results that are still valid are reported
+/// again.
 async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     sqlx::query(
         "UPDATE jobs SET options = $1, rounds = $2, round = 0, progress = 0, best_round = NULL,

@@ -16,7 +16,7 @@ pub struct NewShare {
     pub name: String,
     /// Digest of its secret.
     pub digest: Digest,
-    /// The job it opens.
+    /// The job it gives access to.
     pub job: String,
     /// The token that creates it.
     pub made_by: String,

@@ -168,9 +168,9 @@ async fn a_full_disk_disables_no_connection() {
     let claim = claim.expect("the job that waits");
     let step = Progress { progress: Some(0.5), ..Default::default() };
     store.advance(&claim.lease, &step).await.expect("advance");
-    // Read on other connections: it was no savepoint in a transaction that never ends.
+    // On other connections, to show that it was not a savepoint of an open transaction.
     for _ in 0..CONNECTIONS {
-        let told = store.job("waits").await.expect("read").expect("job");
-        assert_eq!(told.progress, 0.5);
+        let job = store.job("waits").await.expect("read").expect("job");
+        assert_eq!(job.progress, 0.5);
     }
 }

@@ -9,7 +9,8 @@ use super::engine::Cells;
 use crate::error::Result;
 use crate::token::{Digest, Scopes};
 
-/// Minimum time between records of a token's use, in milliseconds: reads should not cause writes.
+/// Minimum interval between updates of a token's last use, in milliseconds: reads should rarely
+/// cause writes.
 const NOTED_EVERY: i64 = 60_000;
 
 /// A token to be created.
@@ -57,7 +58,7 @@ pub struct TokenRow {
     pub last_used_at: Option<i64>,
     /// Limits for its owner.
     pub quotas: Quotas,
-    /// The only job it opens, if it is a share link.
+    /// The only job it gives access to, if it is a share link.
     pub job: Option<String>,
 }
 
@@ -229,8 +230,8 @@ mod tests {
         let unknown = crate::token::digest("fled_0");
         let unknown = store.token_that_holds(&unknown).await.expect("answer");
         assert!(unknown.is_none());
-        let told = store.tokens().await.expect("tokens");
-        assert!(told[0].last_used_at.is_some() && told[1].last_used_at.is_none());
+        let tokens = store.tokens().await.expect("tokens");
+        assert!(tokens[0].last_used_at.is_some() && tokens[1].last_used_at.is_none());
         let content = std::fs::read(dir.path().join("fled.db-wal")).unwrap_or_default();
         let shows = |text: &str| content.windows(text.len()).any(|w| w == text.as_bytes());
         assert!(!secrets.iter().any(|secret| shows(secret.reveal())));

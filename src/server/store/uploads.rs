@@ -175,7 +175,7 @@ fn from_row(row: &AnyRow) -> Result<UploadRow> {
     })
 }
 
-/// No upload is longer than an `i64` can hold.
+/// No upload is longer than an `i64` can represent.
 fn signed(bytes: u64) -> i64 {
     i64::try_from(bytes).unwrap_or(i64::MAX)
 }

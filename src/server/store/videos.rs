@@ -1,4 +1,4 @@
-//! Videos: jobs of another kind. Each shows the result of a job, and goes with that job.
+//! Videos: jobs of another kind. Each shows the result of a job, and is deleted with that job.
 
 use serde_json::{Value, json};
 use sqlx::Row;
@@ -14,31 +14,31 @@ use crate::store::state::JobState;
 /// A stored video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VideoRow {
-    /// Its job, whose options are its plan.
+    /// The video's own job, whose options are its plan.
     pub job: JobRow,
-    /// How large it is, once it is made.
+    /// Its size in bytes, once rendered.
     pub bytes: Option<u64>,
-    /// How many others come before it, while it waits.
+    /// The number of videos before it in the queue, while queued.
     pub ahead: Option<u32>,
 }
 
-/// How many videos there may be.
+/// Limits on the number of videos.
 #[derive(Clone, Copy, Debug)]
 pub struct VideoRoom {
-    /// Of one job.
+    /// Videos of one job.
     pub of_job: usize,
-    /// Of all jobs, that wait or are made.
+    /// Queued and running videos of all jobs.
     pub unfinished: usize,
 }
 
-/// What became of a request for a video.
+/// Outcome of a request for a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoCreation {
-    /// It waits.
+    /// It is queued.
     Created,
-    /// Its job has so many already, as many as one may have.
+    /// Its job already has the maximum, which is this number.
     JobFull(usize),
-    /// As many wait as may.
+    /// The queue is full.
     QueueFull,
     /// Its job is gone.
     Gone,
@@ -52,10 +52,10 @@ const VIDEOS: &str = "SELECT jobs.*, CASE state WHEN 'queued' THEN
     FROM jobs WHERE video_of = $1";
 
 impl Store {
-    /// Queues a video of a job, where there is room for it.
+    /// Queues a video of a job, if there is room for it.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn create_video(
         &self,
         id: &str,
@@ -99,10 +99,10 @@ impl Store {
         Ok(VideoCreation::Created)
     }
 
-    /// Every video of a job, newest first.
+    /// Returns the videos of a job, newest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn videos(&self, job: &str) -> Result<Vec<VideoRow>> {
         let all = format!("{VIDEOS} ORDER BY id DESC");
         let all = sqlx::query(sqlx::AssertSqlSafe(all)).bind(job);
@@ -110,10 +110,10 @@ impl Store {
         rows.iter().map(video).collect()
     }
 
-    /// A video of a job.
+    /// Returns a video of a job.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn video(&self, job: &str, id: &str) -> Result<Option<VideoRow>> {
         let one = format!("{VIDEOS} AND id = $2");
         let one = sqlx::query(sqlx::AssertSqlSafe(one)).bind(job).bind(id);
@@ -121,11 +121,11 @@ impl Store {
         row.as_ref().map(video).transpose()
     }
 
-    /// Deletes a video, in whatever state: a worker that makes it loses its lease. `Ok(false)` when
-    /// it is gone.
+    /// Deletes a video in any state; a worker that is rendering it loses its lease. `Ok(false)` if
+    /// it does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn delete_video(&self, job: &str, id: &str) -> Result<bool> {
         let mut tx = self.begin().await?;
         let done = sqlx::query("DELETE FROM jobs WHERE video_of = $1 AND id = $2")
@@ -138,20 +138,20 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// Jobs of which an earlier build named files of videos.
+    /// Returns the jobs for which an earlier build stored video files.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn jobs_with_video_files(&self) -> Result<Vec<String>> {
         let jobs = "SELECT DISTINCT job_id FROM job_files WHERE path LIKE 'videos/%/video.json'";
         Ok(sqlx::query_scalar(jobs).fetch_all(&self.pool).await?)
     }
 
-    /// Makes a job of a video of an earlier build, whose `video.json` is `record`, and names its
-    /// file as the job's.
+    /// Converts a video of an earlier build to a job. `record` is its `video.json`, and its file
+    /// becomes the new job's.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn adopt_video(&self, job: &str, id: &str, record: &Value) -> Result<()> {
         let mut plan = record["plan"].clone();
         plan["width"] = record["width"].clone();
@@ -191,10 +191,10 @@ impl Store {
         tx.commit().await
     }
 
-    /// Removes every video from a copy of a database, which has no files of them.
+    /// Deletes all videos from a copy of a database that lacks their files.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_videos(&self) -> Result<()> {
         let forget = sqlx::query("DELETE FROM jobs WHERE video_of IS NOT NULL");
         forget.execute(&self.pool).await?;

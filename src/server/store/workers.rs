@@ -30,10 +30,10 @@ pub struct About {
     pub jobs: u32,
 }
 
-/// A worker as it was last heard of.
+/// The last known state of a worker.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorkerRow {
-    /// The name it gives itself, the same after a restart.
+    /// The name it chose, which survives a restart.
     pub id: String,
     /// What it reports about itself.
     pub about: About,

@@ -95,7 +95,7 @@ impl Drop for PacedBody {
         if self.is_held_back || body.is_end_stream() {
             return;
         }
-        // Without a runtime the server is gone, and its connections with it.
+        // Without a runtime the server has stopped, and its connections are closed.
         if let Ok(runtime) = Handle::try_current() {
             runtime.spawn(timeout(DRAINING, drain(body)));
         }

@@ -7,15 +7,15 @@ use fled_core::metrics::Report;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
-/// Examples: of bodies by their schema or else their operation, of parameters by their operation,
-/// their name, or the collection that they are of.
+/// Examples: of bodies by schema or else by operation, of parameters by operation, name or
+/// collection.
 static EXAMPLES: LazyLock<Value> = LazyLock::new(|| {
     serde_json::from_str(include_str!("examples.json")).expect("checked in and tested")
 });
 
-/// Where the document has its schemas.
+/// Location of the schemas in the document.
 const SCHEMAS: &str = "/components/schemas";
-/// Collections whose members have UUIDs.
+/// Collections whose items have UUIDs.
 const COLLECTIONS: [&str; 3] = ["captures", "jobs", "uploads"];
 /// Names of fields and parameters that are UUIDs.
 const UUIDS: [&str; 6] = ["capture_id", "job_id", "cursor", "next_cursor", "uploads", "video"];
@@ -43,8 +43,8 @@ fn members(value: &mut Value) -> impl Iterator<Item = (&String, &mut Value)> {
     value.as_object_mut().into_iter().flatten()
 }
 
-/// Adds the types of `metrics.json`. An answer about rounds has its fields, most of them once the
-/// file exists.
+/// Adds the types of `metrics.json`. The rounds response has its fields, most of them once the file
+/// exists.
 fn add_report(api: &mut Value) {
     let mut generator = SchemaSettings::draft2020_12()
         .with(|settings| settings.definitions_path = SCHEMAS.into())
@@ -65,14 +65,14 @@ fn add_report(api: &mut Value) {
     }
 }
 
-/// Words a schema as those of the other types are.
+/// Rewrites a schema in the style of the other types.
 fn as_openapi(schema: &mut Value) {
     if *schema == json!(true) {
         *schema = json!({});
     }
     let has_kind = ["type", "$ref", "oneOf", "anyOf"].iter().any(|kind| schema.get(kind).is_some());
     if !has_kind {
-        // JSON of any form, which is an object wherever the core has it.
+        // JSON of any form, which is always an object in the core.
         schema["type"] = "object".into();
     }
     let words = schema["oneOf"].as_array().map(|all| {
@@ -98,7 +98,7 @@ fn as_openapi(schema: &mut Value) {
     }
 }
 
-/// Lets objects have any fields where the document names none: without this word a generated client
+/// Allows any fields in objects for which the document lists none: otherwise a generated client
 /// takes them for empty.
 fn open_objects(part: &mut Value) {
     match part {
@@ -141,8 +141,8 @@ fn set_format(schema: &mut Value, format: &str) {
     }
 }
 
-/// Adds the formats of its parameters and examples to an operation, and notes the bodies of which
-/// it has one.
+/// Adds formats to the parameters and examples of an operation, and records the bodies for which it
+/// has one.
 fn complete_operation(operation: &mut Value, path: &str, used: &mut Map<String, Value>) {
     let id = operation["operationId"].as_str().unwrap_or_default().to_owned();
     let collection = path.split('/').nth(2).unwrap_or_default();
@@ -173,7 +173,7 @@ fn complete_operation(operation: &mut Value, path: &str, used: &mut Map<String, 
     }
     let contents = bodies.into_iter().filter_map(|body| body.get_mut("content"));
     for (_, content) in contents.flat_map(members) {
-        // A file of any type: an empty schema says no more than none.
+        // A file of any type: an empty schema adds nothing.
         if content["schema"] == json!({})
             && let Some(fields) = content.as_object_mut()
         {

@@ -1,4 +1,4 @@
-//! How an upload begins.
+//! Creation of uploads.
 
 use std::sync::Arc;
 
@@ -21,10 +21,10 @@ use crate::http::quota::{bytes_left, over_quota};
 use crate::http::upload::to_its_end;
 use crate::store::UploadRow;
 
-/// After so many seconds there may be room for one more.
+/// Seconds after which there may be room for another upload.
 const RETRY: u32 = 60;
 
-/// An upload that has begun.
+/// A new upload.
 #[derive(Debug)]
 pub(super) struct Begun {
     pub(super) id: String,
@@ -32,11 +32,11 @@ pub(super) struct Begun {
     pub(super) expires_at: i64,
 }
 
-/// Begins an upload, with its first piece where the request has one.
+/// Creates an upload, with its first piece if the request contains one.
 ///
 /// # Errors
-/// 400 for headers that cannot be read, 422 for others that cannot be used, 413, 429 and 507 where
-/// there is no room for it, and those of the first piece: then nothing was begun.
+/// 400 for header fields that cannot be read, 422 for unsupported values, 413, 429 and 507 if there
+/// is no room, and the errors of the first piece. On an error no upload is created.
 pub(super) async fn begin(
     app: &Arc<App>,
     visitor: &Visitor,
@@ -81,7 +81,7 @@ fn length(headers: &HeaderMap) -> Result<u64, Problem> {
     number(headers, &LENGTH)
 }
 
-/// The piece in the body of a request that begins an upload.
+/// The piece in the body of a creation request.
 fn first(headers: &HeaderMap, body: Body) -> Result<Option<Piece>, Problem> {
     if body.is_end_stream() {
         return Ok(None);
@@ -92,9 +92,9 @@ fn first(headers: &HeaderMap, body: Body) -> Result<Option<Piece>, Problem> {
     Ok(Some(Piece { offset: 0, body }))
 }
 
-/// Makes the upload: its empty file, then its row.
+/// Stores the upload: its empty file, then its row.
 async fn keep(app: &App, visitor: &Visitor, row: &UploadRow) -> Result<(), Problem> {
-    // Those of one owner that come at a time are counted one after the other.
+    // Concurrent uploads of one owner are counted one after another.
     let _turn = match visitor.quota_bytes() {
         Some(_) => Some(app.keeping.lock().await),
         None => None,
@@ -120,7 +120,7 @@ async fn keep(app: &App, visitor: &Visitor, row: &UploadRow) -> Result<(), Probl
     if kept? { Ok(()) } else { Err(too_many(app)) }
 }
 
-/// Adds the first piece. Nobody else knows of the upload yet: without it there is none.
+/// Adds the first piece. Other requests do not know the upload yet; if this fails, it is removed.
 async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, Problem> {
     let lock = app.upload_locks.take(&row.id, app.limits.takeover).await;
     let lock = lock.ok_or_else(Problem::internal)?;

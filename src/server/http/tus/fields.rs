@@ -6,7 +6,7 @@ use jiff::fmt::rfc2822::DateTimePrinter;
 
 use crate::http::problem::Problem;
 
-/// The one version that is spoken.
+/// The only supported version.
 pub(super) const VERSION: &str = "1.0.0";
 pub(super) const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");
 pub(super) const VERSIONS: HeaderName = HeaderName::from_static("tus-version");
@@ -20,16 +20,16 @@ pub(super) const METADATA: HeaderName = HeaderName::from_static("upload-metadata
 pub(super) const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
 pub(super) const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-override");
 
-/// The type of a body that is a piece.
+/// The media type of a piece.
 const PIECE: &str = "application/offset+octet-stream";
 const HINT: &str = "See the tus protocol, version 1.0.0, and /openapi.yaml.";
-/// Longer files are counted by nobody.
+/// Maximum length of a file that can be stored.
 const MOST: u64 = i64::MAX as u64;
 
-/// A field as text, if it is there.
+/// A header field as text, if present.
 ///
 /// # Errors
-/// 400 where it is sent twice or is no text.
+/// 400 if it is repeated or is not text.
 pub(super) fn text<'a>(
     headers: &'a HeaderMap,
     name: &HeaderName,
@@ -44,10 +44,10 @@ pub(super) fn text<'a>(
     }
 }
 
-/// A field that counts bytes.
+/// A header field that is a number of bytes.
 ///
 /// # Errors
-/// 400 where it is not there or is no number.
+/// 400 if it is missing or is not a number.
 pub(super) fn number(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Problem> {
     let text = text(headers, name)?;
     let digits = text.filter(|text| text.bytes().all(|byte| byte.is_ascii_digit()));
@@ -57,13 +57,13 @@ pub(super) fn number(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Prob
         .ok_or_else(|| bad(format!("`{name}` is missing or is not a number of bytes.")))
 }
 
-/// Whether the body says that it is a piece.
+/// Returns whether the body has the media type of a piece.
 pub(super) fn is_piece(headers: &HeaderMap) -> bool {
     let kind = headers.get(header::CONTENT_TYPE);
     kind.is_some_and(|kind| kind.as_bytes().eq_ignore_ascii_case(PIECE.as_bytes()))
 }
 
-/// 415: the body is no piece.
+/// 415: the body is not a piece.
 pub(super) fn other_type() -> Problem {
     Problem::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
@@ -73,23 +73,23 @@ pub(super) fn other_type() -> Problem {
     .hint(format!("Send `Content-Type: {PIECE}`."))
 }
 
-/// 400 for a field that cannot be read.
+/// 400 for a header field that cannot be read.
 pub(super) fn bad(detail: impl Into<String>) -> Problem {
     Problem::new(StatusCode::BAD_REQUEST, "bad_request", detail).hint(HINT)
 }
 
-/// 422 for a field that can be read, but not used.
+/// 422 for a readable header field with an unusable value.
 pub(super) fn unfit(detail: impl Into<String>) -> Problem {
     Problem::unprocessable("bad_input", detail).hint(HINT)
 }
 
-/// A time as HTTP writes it.
+/// An HTTP date.
 pub(super) fn expires(at_ms: i64) -> String {
     let at = Timestamp::from_millisecond(at_ms).unwrap_or(Timestamp::MAX);
     let printer = DateTimePrinter::new();
     printer
         .timestamp_to_rfc9110_string(&at)
-        // Only years that no clock tells cannot be written.
+        // Only years outside any clock's range cannot be formatted.
         .unwrap_or_default()
 }
 
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_has_digits_only_and_stands_once() {
+    fn a_number_has_only_digits_and_is_sent_once() {
         let of = |values: &[&str]| {
             let mut headers = HeaderMap::new();
             for value in values {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn times_are_told_as_http_tells_them() {
+    fn times_are_written_as_http_dates() {
         assert_eq!(expires(784_111_777_999), "Sun, 06 Nov 1994 08:49:37 GMT");
     }
 }

@@ -1,4 +1,4 @@
-//! The file of an upload, which says how much of it there is.
+//! The file of an upload. Its size is the upload's offset.
 
 use std::io;
 
@@ -9,10 +9,10 @@ use crate::error::ServerError;
 use crate::http::problem::Problem;
 use crate::store::UploadRow;
 
-/// Opens the file of an upload that nobody else has; with it how many bytes it has.
+/// Opens the file of an upload that this request has locked, and returns its size in bytes.
 ///
 /// # Errors
-/// 404 where it is not there.
+/// 404 if it does not exist.
 pub(super) async fn open(app: &App, row: &UploadRow) -> Result<(File, u64), Problem> {
     let path = app.data.upload(&row.id);
     let file = match File::options().append(true).open(&path).await {
@@ -25,10 +25,10 @@ pub(super) async fn open(app: &App, row: &UploadRow) -> Result<(File, u64), Prob
     Ok((file, bytes))
 }
 
-/// Takes everything behind so many bytes away.
+/// Truncates the file to this many bytes.
 ///
 /// # Errors
-/// When the disk refuses.
+/// When a disk operation fails.
 pub(super) async fn cut(
     app: &App,
     row: &UploadRow,
@@ -42,19 +42,19 @@ pub(super) async fn cut(
     Ok(())
 }
 
-/// Makes what is there survive a power cut.
+/// Makes the content survive a power cut.
 ///
 /// # Errors
-/// When the disk refuses.
+/// When a disk operation fails.
 pub(super) async fn sync(app: &App, row: &UploadRow, file: &File) -> Result<(), ServerError> {
     let path = app.data.upload(&row.id);
     file.sync_all().await.map_err(ServerError::io(&path))
 }
 
-/// How many bytes there are.
+/// The size of the file in bytes.
 ///
 /// # Errors
-/// When the disk does not say.
+/// When a disk operation fails.
 pub(super) async fn length(app: &App, row: &UploadRow, file: &File) -> Result<u64, ServerError> {
     let path = app.data.upload(&row.id);
     let about = file.metadata().await.map_err(ServerError::io(&path))?;

@@ -1,4 +1,4 @@
-//! `Upload-Metadata`: what an upload is called.
+//! `Upload-Metadata`: the name of an upload.
 
 use std::collections::HashMap;
 
@@ -11,10 +11,10 @@ use crate::http::problem::Problem;
 use crate::http::texts::check_text;
 use crate::http::upload::LONGEST_FILE_NAME;
 
-/// Longest metadata, bytes: they are kept with every upload.
+/// Maximum length of the metadata in bytes: they are stored with every upload.
 const LONGEST: usize = 8 << 10;
 
-/// Metadata as sent, and the file name in them.
+/// The metadata as sent, and the file name in them.
 #[derive(Debug)]
 pub(super) struct Metadata {
     pub(super) sent: String,
@@ -23,7 +23,7 @@ pub(super) struct Metadata {
 
 impl Metadata {
     /// # Errors
-    /// 400 where they cannot be read, 422 where they are too long or name no file in plain text.
+    /// 400 if they cannot be read, 422 if they are too long or have no file name in plain text.
     pub(super) fn of(headers: &HeaderMap) -> Result<Self, Problem> {
         let sent = text(headers, &METADATA)?.unwrap_or_default();
         if sent.len() > LONGEST {
@@ -32,7 +32,7 @@ impl Metadata {
         let read = pairs(sent).ok_or_else(|| {
             bad("`Upload-Metadata` must consist of distinct keys, each with a value in base64.")
         })?;
-        // Uppy tells the folders of a file so, and `null` where it has none.
+        // Uppy sends a file's path here, and `null` if it has no folder.
         let path = read.get("relativePath").filter(|path| !matches!(&path[..], b"" | b"null"));
         let filename = path.or(read.get("filename")).cloned().unwrap_or_default();
         match String::from_utf8(filename) {
@@ -47,7 +47,7 @@ impl Metadata {
     }
 }
 
-/// Every key with its value; `None` where something is wrong.
+/// All keys with their values; `None` if the metadata are malformed.
 fn pairs(sent: &str) -> Option<HashMap<&str, Vec<u8>>> {
     let mut read = HashMap::new();
     for pair in sent.split(',').filter(|_| !sent.is_empty()) {
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_a_name_and_other_keys_do_not_matter() {
+    fn a_file_needs_a_name_and_other_keys_are_ignored() {
         let of = |sent: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(METADATA, sent.parse().expect("header"));

@@ -1,4 +1,4 @@
-//! A piece of an upload on its way to the disk.
+//! Writes a piece of an upload to disk.
 
 use axum::body::{Body, HttpBody};
 use axum::http::StatusCode;
@@ -13,17 +13,17 @@ use crate::files::upload_locks::UploadLock;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::store::UploadRow;
 
-/// Between two looks at the free space of the disk, bytes.
+/// Bytes written between two checks of the free disk space.
 const LOOK_AT_DISK: u64 = 32 << 20;
 
-/// What is to be added, and where.
+/// The data to add, and its offset.
 pub(super) struct Piece {
-    /// Where the client takes the end to be.
+    /// The end of the upload as the client knows it.
     pub(super) offset: u64,
     pub(super) body: Body,
 }
 
-/// How an upload stands.
+/// The state of an upload.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stands {
     /// Bytes on the disk.
@@ -32,7 +32,7 @@ pub(super) struct Stands {
     pub(super) expires_at: i64,
 }
 
-/// Why a body was not read any further.
+/// Why reading the body ended.
 enum Ended {
     Whole,
     TooLong,
@@ -42,13 +42,13 @@ enum Ended {
     Stopping,
 }
 
-/// Adds a piece to an upload that nobody else has. Whatever the answer, what counts of it is on the
-/// disk when this returns, and no more comes.
+/// Adds a piece to an upload that this request has locked. When this returns, with or without an
+/// error, the data that counts is on disk and no more is written.
 ///
 /// # Errors
-/// 409 where it does not begin at the end of what there is, 413 where it is longer than the rest:
-/// of these nothing stays. 400 where the body breaks off, 409 where another takes over, 507 where
-/// there is no space for more: what came stays.
+/// 409 if the piece does not begin at the end of the stored data, 413 if it is longer than the
+/// rest: then none of it is kept. 400 if the body is interrupted, 409 if another request takes
+/// over, 507 if there is no space for more: then the received data is kept.
 pub(super) async fn add(
     app: &App,
     lock: &UploadLock,
@@ -66,7 +66,7 @@ pub(super) async fn add(
         return Err(beyond());
     }
     if announced.exact() == Some(0) {
-        // What is told is on the disk, also what a server left that was killed.
+        // The reported offset must be on disk, including data written by a killed server.
         file::sync(app, row, &file).await?;
         let expires_at = row.expires_at;
         let offset = begin;
@@ -79,7 +79,7 @@ pub(super) async fn add(
     writer.write(piece.body, lock).await
 }
 
-/// A time so far from now as an upload lives after its last byte, milliseconds since 1970.
+/// When an upload expires if its last byte arrives now, in milliseconds since 1970.
 pub(super) async fn life(app: &App) -> crate::error::Result<i64> {
     let life = i64::try_from(app.limits.upload_life.as_millis()).unwrap_or(i64::MAX / 4);
     Ok(app.store.now().await? + life)
@@ -97,7 +97,7 @@ struct Writer<'a> {
 impl Writer<'_> {
     async fn write(mut self, body: Body, lock: &UploadLock) -> Result<Stands, Problem> {
         let mut ended = self.pour(body, lock).await;
-        // Writes of this file may still be under way.
+        // Writes to this file may still be pending.
         if let Err(error) = self.file.flush().await {
             let path = self.app.data.upload(&self.row.id);
             ended = ended.and(Err(ServerError::io(&path)(error)));
@@ -122,7 +122,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Reads until the body ends or somebody else wants the upload.
+    /// Reads until the body ends or another request wants the upload.
     async fn pour(&mut self, body: Body, lock: &UploadLock) -> Result<Ended, ServerError> {
         let mut body = body.into_data_stream();
         loop {

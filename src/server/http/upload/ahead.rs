@@ -1,7 +1,7 @@
-//! How far the reader of a body is ahead of those who take its parts.
+//! Limits how far the body reader is ahead of the consumer of its parts.
 //!
-//! The parser keeps what it has read until it finds the end of a part's header. A body that never
-//! has one would be kept whole.
+//! The parser buffers data until it finds the end of a part's header. A body without one would be
+//! buffered whole.
 
 use std::io;
 use std::sync::Arc;
@@ -10,15 +10,15 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use axum::body::Body;
 use futures::StreamExt;
 
-/// Most bytes that the parser may hold; a header has some hundred.
+/// Maximum bytes that the parser may buffer; a header has some hundred.
 const FARTHEST: usize = 4 << 20;
 
-/// Bytes read of a body and not yet taken.
+/// Bytes read from a body and not yet consumed.
 #[derive(Debug, Default)]
 pub(super) struct Ahead(AtomicUsize);
 
 impl Ahead {
-    /// The body, which fails once too much of it is held.
+    /// Wraps the body, which fails if too much of it is buffered.
     pub(super) fn watch(self: Arc<Self>, body: Body) -> Body {
         let stream = body.into_data_stream().map(move |chunk| {
             let chunk = chunk.map_err(io::Error::other)?;
@@ -31,14 +31,15 @@ impl Ahead {
         Body::from_stream(stream)
     }
 
-    /// So many bytes of a part were taken.
+    /// Records that this many bytes of a part were consumed.
     pub(super) fn taken(&self, bytes: usize) {
-        // What was held when a part began is not counted: then more is taken than was counted.
+        // Bytes buffered when a part began are not counted, so more may be consumed than was
+        // counted.
         let less = |held: usize| Some(held.saturating_sub(bytes));
         let _ = self.0.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less);
     }
 
-    /// A part's header was found: what is held belongs to parts.
+    /// Records that a part's header was found: the buffered bytes belong to parts.
     pub(super) fn caught_up(&self) {
         self.0.store(0, Ordering::Relaxed);
     }

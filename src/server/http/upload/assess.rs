@@ -1,4 +1,4 @@
-//! What is made of what was seen in an upload.
+//! Evaluates the result of examining an upload.
 
 use std::time::Duration;
 
@@ -12,16 +12,16 @@ use crate::http::quota::over_quota;
 use crate::validation::{CaptureReport, Refusal, Warning};
 use crate::validator::{AssessError, AssessRequest, VideoFaultKind};
 
-/// What to do about a photograph that a process died of.
+/// Hint for a photograph that crashed the process checking it.
 const SAVE_ANEW: &str = "Leave it out, or save it again as a smaller JPEG or PNG.";
 
 impl Upload {
-    /// Has the files looked at; the photographs that cannot be used stay listed with the reason.
+    /// Examines the files; unusable photographs stay listed with the reason.
     ///
     /// # Errors
-    /// 422 with the assessments when too few photographs can be used, and for photographs that
-    /// whoever looks at them dies of; 415 for a video where there is no ffmpeg, 422 for one that
-    /// cannot be read, 503 while those of others are read; 507 when there is no room.
+    /// 422 with the assessments if too few photographs are usable, and for photographs that crash
+    /// the process examining them; 415 for a video if ffmpeg is missing, 422 for a video that
+    /// cannot be read, 503 while other videos are being read; 507 if there is no room.
     pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
             return Err(Problem::unprocessable("bad_input", "The upload has no files.")
@@ -75,7 +75,7 @@ fn refused(refusal: Refusal) -> Problem {
     Problem::new(status, code, refusal.detail).hint(refusal.hint).capture(capture)
 }
 
-/// The answer where the process that was to look at the upload did not come to its end.
+/// The problem if the process examining the upload did not finish.
 fn unseen(error: AssessError, app: &App) -> Problem {
     let minutes = |time: Duration| time.as_secs().div_ceil(60);
     let (detail, hint) = match error {

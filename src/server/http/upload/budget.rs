@@ -1,32 +1,32 @@
-//! How many bytes a capture may still bring.
+//! Limits the bytes of a capture being received.
 
 use crate::app::App;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::over_quota;
 
-/// Between two looks at the free space of the disk, bytes.
+/// Bytes received between two checks of the free disk space.
 const LOOK_AT_DISK: u64 = 32 << 20;
 
-/// Counts what comes against every limit there is.
+/// Counts received bytes against all limits.
 pub(super) struct Budget<'a> {
-    /// Whose limits they are.
+    /// The application, which has the limits.
     pub app: &'a App,
-    /// What its owner may still have, bytes, where they have a quota.
+    /// Bytes left to the owner, if they have a quota.
     most: Option<u64>,
     bytes: u64,
     looked: u64,
 }
 
 impl<'a> Budget<'a> {
-    /// Of a capture of which nothing has come.
+    /// The budget of a capture before its first byte.
     pub fn new(app: &'a App, most: Option<u64>) -> Self {
         Self { app, most, bytes: 0, looked: 0 }
     }
 
-    /// So many bytes have come.
+    /// Counts received bytes.
     ///
     /// # Errors
-    /// 413 when it is too much for an upload, 507 when it is for the owner or for the disk.
+    /// 413 if they exceed the upload limit, 507 if they exceed the quota or the disk.
     pub fn count(&mut self, bytes: usize) -> Result<(), Problem> {
         self.bytes += bytes as u64;
         self.expect(0)?;
@@ -37,7 +37,7 @@ impl<'a> Budget<'a> {
         Ok(())
     }
 
-    /// So many bytes are said to come.
+    /// Checks an announced number of bytes.
     ///
     /// # Errors
     /// 413 and 507 as for [`Budget::count`].
@@ -54,7 +54,7 @@ impl<'a> Budget<'a> {
 }
 
 /// # Errors
-/// 507 when less space is left than the server needs to go on.
+/// 507 if less space is left than the server needs to work.
 pub fn check_space(app: &App) -> Result<(), Problem> {
     if app.is_disk_full() {
         return Err(disk_full());

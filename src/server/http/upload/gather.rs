@@ -1,4 +1,4 @@
-//! Uploads in pieces, gathered as if they had come in one body.
+//! Gathers resumable uploads as if they had arrived in one body.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
@@ -19,14 +19,14 @@ use crate::http::quota::bytes_left_beside;
 use crate::http::tus::lock;
 use crate::store::UploadRow;
 
-/// Gathers finished uploads of the visitor's own, each under its file name, for a capture with
-/// these text fields. They stay as they are until the capture is kept, and until then nobody else
-/// has them: a piece that is still on its way would be written into the capture.
+/// Gathers finished uploads of the visitor, each under its file name, for a capture with these text
+/// fields. They stay unchanged until the capture is stored, and are locked until then: otherwise a
+/// piece still arriving would be written into the capture.
 ///
 /// # Errors
-/// 423 for those that somebody else does not let go, 404 for those that are not there or somebody
-/// else's, 409 for unfinished ones, 413 when they are too large together, 422 for none, too many,
-/// or the same twice, 507 when there is no room.
+/// 423 if another request does not release one, 404 if one does not exist or has another owner, 409
+/// for unfinished ones, 413 if they are too large together, 422 for an empty list, too many, or a
+/// repeated one, 507 if there is no room.
 pub async fn gather(
     app: &Arc<App>,
     ids: &[String],
@@ -39,7 +39,7 @@ pub async fn gather(
     }
     own(app, ids, visitor).await?;
     let locks = lock_all(app, ids).await?;
-    // What was on its way then has come or gone.
+    // By now, pieces that were arriving are stored or discarded.
     let rows = own(app, ids, visitor).await?;
     let bytes: u64 = rows.iter().map(|row| row.length).sum();
     if bytes > app.limits.max_upload_bytes {
@@ -82,8 +82,8 @@ fn check_list(ids: &[String]) -> Result<(), Problem> {
     }
 }
 
-/// The rows of uploads, in their order. An admin may see those of others, but what becomes a
-/// capture counts for whoever makes it: only one's own can.
+/// The rows of uploads, in order. An admin may see other owners' uploads, but can use only their
+/// own: the capture counts towards the quota of its creator.
 async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadRow>, Problem> {
     let mut rows = app.store.uploads(ids).await?;
     let own = |(at, id): (usize, &String)| {
@@ -93,8 +93,7 @@ async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadR
     ids.iter().enumerate().map(own).collect()
 }
 
-/// All uploads for oneself, in an order that is the same for everybody: nobody has what another
-/// waits for who has what they wait for.
+/// Locks all uploads, always in the same order, so that two requests cannot wait for each other.
 async fn lock_all(app: &App, ids: &[String]) -> Result<Vec<UploadLock>, Problem> {
     let mut ordered: Vec<&String> = ids.iter().collect();
     ordered.sort();
@@ -105,7 +104,7 @@ async fn lock_all(app: &App, ids: &[String]) -> Result<Vec<UploadLock>, Problem>
     Ok(locks)
 }
 
-/// Gives every file a second name in `dir`, as the names of its upload say.
+/// Links every file into `dir`, under its upload's file name.
 fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
     let mut places = Places::default();
     for (at, row) in rows.iter().enumerate() {
@@ -121,7 +120,7 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
         match link(&from, &to) {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
-            // The file system has no such thing, or is another.
+            // The file system has no hard links, or is another one.
             Err(_) if app.has_no_space_for(bytes) => return Err(disk_full()),
             Err(_) => fs::copy(&from, &to).map(drop).map_err(ServerError::io(&to))?,
         }
@@ -133,7 +132,7 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
     Ok(())
 }
 
-/// A second name for a file.
+/// Hard-links a file.
 fn link(from: &Path, to: &Path) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;

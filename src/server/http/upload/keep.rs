@@ -1,4 +1,4 @@
-//! How an upload becomes a capture.
+//! Stores an upload as a capture.
 
 use std::path::{Path, PathBuf};
 
@@ -18,15 +18,15 @@ use crate::http::quota::{bytes_left_beside, over_quota};
 use crate::store::CaptureRow;
 use crate::validation::CaptureReport;
 
-/// An upload whose files lie where those of captures lie, and whose row is still to be stored.
-/// Nobody else's look at the quota ends before it is dropped.
+/// An upload whose files are in their final place and whose row is not stored yet. Until it is
+/// dropped, no other quota check ends.
 #[derive(Debug)]
 pub struct Placed<'a> {
     /// The row.
     pub row: CaptureRow,
-    /// The uploads in pieces that it was gathered from.
+    /// The resumable uploads that it was gathered from.
     pub uploads: Vec<String>,
-    /// Its files in a shared store of files.
+    /// Its files in a shared blob store.
     pub kept: Vec<Kept>,
     files: PathBuf,
     _locks: Vec<UploadLock>,
@@ -34,12 +34,13 @@ pub struct Placed<'a> {
 }
 
 impl Placed<'_> {
-    /// Takes the files away again: the row was not stored.
+    /// Removes the files, because the row was not stored.
     pub async fn give_up(self) {
         remove(&self.files).await;
     }
 
-    /// What is left of uploads in pieces goes: the row was stored, and theirs are gone.
+    /// Removes the files of the resumable uploads: their rows were deleted when this one was
+    /// stored.
     pub async fn finish(self, app: &App) -> CaptureRow {
         for id in &self.uploads {
             remove(&app.data.upload(id)).await;
@@ -49,11 +50,11 @@ impl Placed<'_> {
 }
 
 impl Upload {
-    /// Makes the upload a capture: on disk, fsynced, then in the database.
+    /// Stores the upload as a capture: on disk, fsynced, then in the database.
     ///
     /// # Errors
-    /// When the disk or the database refuses; 404 when uploads that it was gathered from are not
-    /// there any more.
+    /// When a disk or database operation fails; 404 if uploads that it was gathered from no longer
+    /// exist.
     pub async fn keep(
         self,
         app: &App,
@@ -75,17 +76,17 @@ impl Upload {
         Ok(placed.finish(app).await)
     }
 
-    /// Moves the files to where those of captures lie, fsynced.
+    /// Moves the files to their final place, fsynced.
     ///
     /// # Errors
-    /// When the disk refuses, or there is no room in the quota any more.
+    /// When a disk operation fails, or the quota has no room any more.
     pub async fn place<'a>(
         self,
         app: &'a App,
         report: &CaptureReport,
         visitor: &Visitor,
     ) -> Result<Placed<'a>, Problem> {
-        // Uploads of one owner that come at a time are counted one after the other.
+        // Concurrent uploads of one owner are counted one after another.
         let turn = match self.most {
             Some(_) => Some(self.still_fits(app, visitor).await?),
             None => None,
@@ -131,8 +132,8 @@ impl Upload {
         })
     }
 
-    /// Looks again whether its owner's quota has room for it. Nobody else's look ends before the
-    /// answer is dropped.
+    /// Checks again whether the owner's quota has room. No other check ends before the returned
+    /// guard is dropped.
     async fn still_fits<'a>(
         &self,
         app: &'a App,
@@ -156,8 +157,8 @@ fn default_name() -> String {
     format!("capture of {}", jiff::Zoned::now().strftime("%Y-%m-%d %H:%M"))
 }
 
-/// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the
-/// examine, so the files received are not all there is.
+/// Makes all files and names of a tree survive a power cut. Examining unpacks zips, so the received
+/// files are not all there is.
 fn sync_tree(dir: &Path) -> std::io::Result<()> {
     for entry in std::fs::read_dir(dir)? {
         let entry = entry?;

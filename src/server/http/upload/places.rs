@@ -1,4 +1,4 @@
-//! Under which names an upload's files are stored: never where their own names say.
+//! The names under which an upload's files are stored, which the client does not choose.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -11,32 +11,32 @@ use crate::validation;
 
 /// Folder of the photographs.
 pub(super) const PHOTOGRAPHS: &str = "images";
-/// Folder of the videos that photographs are taken of.
+/// Folder of the videos that photographs are taken from.
 pub(super) const VIDEOS: &str = "video";
 
-/// Folder of a model that poses are measured with.
+/// Folder of a model for evaluating poses.
 const TRUE_POSES: &str = "sparse_gt";
 
 /// The names of one upload.
 #[derive(Debug, Default)]
 pub(super) struct Places {
-    /// What the sender calls the files, by where they are stored.
+    /// The files' original names, by where they are stored.
     names: BTreeMap<String, PhotoPath>,
-    /// Whether that differs.
+    /// Whether any of them differ.
     differs: bool,
     taken: HashSet<PathBuf>,
-    /// The last number given to a path that was asked for more than once.
+    /// The last number added to a path that was requested more than once.
     numbers: HashMap<PathBuf, u32>,
-    /// Where poses are stored, by the folder they should lie in and that they were sent from.
+    /// Where poses are stored, by their target folder and the folder they were sent from.
     poses: HashMap<(&'static str, String), PathBuf>,
 }
 
 impl Places {
-    /// Where a file goes, relative to the capture: never where its name says. What it is called is
-    /// kept beside.
+    /// Where a file is stored, relative to the capture: never at its original path. The original
+    /// name is recorded separately.
     ///
     /// # Errors
-    /// 422 for a second file of poses of the same name: two models would become one.
+    /// 422 for a second pose file of the same name: two models would be merged.
     pub(super) fn place(&mut self, part: &str, name: &str) -> Result<PathBuf, Problem> {
         let path = sent_path(part, name);
         let lower = path.name().to_ascii_lowercase();
@@ -61,7 +61,7 @@ impl Places {
                         own
                     }
                 };
-                // COLMAP's readers know these names only with their capitals.
+                // COLMAP's readers expect these names with their capitals.
                 let place = folder.join(lower.replace("points3d", "points3D"));
                 if self.names.contains_key(&*place.to_string_lossy()) {
                     return Err(sent_twice(&path));
@@ -80,13 +80,13 @@ impl Places {
         Ok(place)
     }
 
-    /// The content of [`fled_core::capture::NAMES`], where the places do not say it.
+    /// The content of [`fled_core::capture::NAMES`]; `None` if all files have their original names.
     pub(super) fn names(&self) -> Option<String> {
         self.differs.then(|| serde_json::json!(self.names).to_string())
     }
 
-    /// A path that is not taken. Numbers only grow, so that thousands of equal names cost no more
-    /// than different ones.
+    /// A free path. Numbers only grow, so thousands of equal names cost no more than different
+    /// ones.
     fn unique(&mut self, folder: &Path, name: &str) -> PathBuf {
         let first = folder.join(name);
         if self.taken.insert(first.clone()) {
@@ -110,10 +110,10 @@ fn sent_twice(path: &PhotoPath) -> Problem {
         .hint("Send one file of this name, or each with its folder, as in `sparse/0/images.txt`.")
 }
 
-/// What a file is called inside the capture. A path from the root of another machine says nothing
-/// but its last part; poses without a folder and ground truth lie where they are looked for.
+/// A file's name inside the capture. Of an absolute path from another machine only the last part is
+/// used; poses without a folder and ground truth get the folders where they are expected.
 fn sent_path(part: &str, name: &str) -> PhotoPath {
-    // `C:\` and `C:/` begin at a drive; a colon elsewhere belongs to the name of a folder.
+    // `C:\` and `C:/` begin with a drive; a colon elsewhere is part of a folder name.
     let after_drive = name
         .strip_prefix(|c: char| c.is_ascii_alphabetic())
         .and_then(|rest| rest.strip_prefix(':'));
@@ -129,7 +129,7 @@ fn sent_path(part: &str, name: &str) -> PhotoPath {
     }
 }
 
-/// The folder of the capture that a file of poses belongs in.
+/// The folder of the capture for a pose file.
 fn folder_of_poses(path: &PhotoPath) -> Option<&'static str> {
     let name = path.name().to_ascii_lowercase();
     let flat = [
@@ -145,14 +145,13 @@ fn folder_of_poses(path: &PhotoPath) -> Option<&'static str> {
     let is_model = ["cameras", "images", "points3d"]
         .iter()
         .any(|stem| name == format!("{stem}.txt") || name == format!("{stem}.bin"));
-    // Poses that others are measured with are not those of the capture, wherever a name says that
-    // they lie.
+    // Ground-truth poses are not the capture's own, in whatever folder a name puts them.
     let is_truth = path.lies_in(&[TRUE_POSES]);
     is_model.then_some(if is_truth { TRUE_POSES } else { "sparse" })
 }
 
-/// The file name without what harms disks, command lines or logs. Otherwise as it was: poses that
-/// come with a capture call its photographs by their names.
+/// The file name without characters that harm disks, command lines or logs. The rest is unchanged,
+/// because poses sent with a capture refer to its photographs by name.
 fn safe_name(name: &str) -> String {
     let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
     let keep = |text: &str, most: usize| -> String {

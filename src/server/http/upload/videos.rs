@@ -1,4 +1,4 @@
-//! Photographs out of the videos of an upload.
+//! Photographs from the videos of an upload.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -16,24 +16,25 @@ use crate::http::problem::Problem;
 use crate::validation::{ARCHIVE, Assessment};
 use crate::validator::{Filming, VideoFault, VideoFaultKind};
 
-/// An upload waits so long for the videos of others, seconds.
+/// How long an upload waits for other videos to be read, in seconds.
 const TURN_S: u32 = 60;
 
 /// The videos of an upload.
 #[derive(Debug, Default)]
 pub(super) struct Videos {
-    /// The one that photographs are taken of.
+    /// The video that photographs are taken from.
     pub(super) used: Option<Filming>,
-    /// What is told of the others.
+    /// Assessments of the other videos.
     pub(super) unused: Vec<Assessment>,
 }
 
 impl Upload {
-    /// What becomes of the videos that came. Photographs are taken of one where nothing else came:
-    /// a phone writes a short one beside every photograph. The video stays beside its photographs.
+    /// Decides how to use the videos. Photographs are taken from a video only if nothing else was
+    /// sent: a phone stores a short one beside every photograph. The video is kept with its
+    /// photographs.
     ///
     /// # Errors
-    /// 422 for several.
+    /// 422 for several videos.
     pub(super) fn videos(&self, app: &App) -> Result<Videos, Problem> {
         let (dir, into) = (self.dir.path(), self.dir.path().join(PHOTOGRAPHS));
         let videos = files(&dir.join(VIDEOS))?;
@@ -59,7 +60,7 @@ impl Upload {
         Ok(Videos { used, unused: Vec::new() })
     }
 
-    /// How many photographs are wanted of the video.
+    /// The number of photographs to take from the video.
     fn frames(&self) -> Result<usize, Problem> {
         let Some(text) = self.fields.get("frames").filter(|text| !text.is_empty()) else {
             return Ok(FRAMES);
@@ -74,7 +75,7 @@ impl Upload {
     }
 }
 
-/// The files of a folder that may not be there, in order.
+/// The files of a folder, sorted; none if it does not exist.
 fn files(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
@@ -110,11 +111,11 @@ fn unused(video: &Path) -> Assessment {
     }
 }
 
-/// The right to read a video: each takes processors and a process, so uploads wait for each other,
-/// for a while.
+/// A turn to read a video. Each takes processors and a process, so uploads wait for each other for
+/// a limited time.
 ///
 /// # Errors
-/// 503 while those of others are read.
+/// 503 while other videos are being read.
 pub(super) async fn turn(app: &App) -> Result<MutexGuard<'_, ()>, Problem> {
     let patience = Duration::from_secs(TURN_S.into());
     let turn = tokio::time::timeout(patience, app.filming.lock()).await;
@@ -128,7 +129,7 @@ fn busy() -> Problem {
         .retry_after(TURN_S)
 }
 
-/// The answer where no photographs came of the video that is called `name`.
+/// The problem if no photographs could be taken from the video `name`.
 pub(super) fn not_filmed(fault: &VideoFault, name: &str) -> Problem {
     let detail = &fault.detail;
     let problem = match fault.kind {

@@ -26,7 +26,7 @@ async fn setting_the_clock_forward_ends_no_lease() {
     let claim = store.claim("one", 30_000, &[]).await.expect("claim");
     let claim = claim.expect("the job");
     step(HOUR_MS);
-    // The other worker does not know yet that the first one runs it.
+    // The other worker does not know yet that the first one runs the job.
     let stolen = store.claim("two", 30_000, &[]).await.expect("claim");
     assert!(stolen.is_none(), "taken from who has it");
     store.heartbeat(&claim.lease, 30_000).await.expect("it goes on");

@@ -10,7 +10,7 @@ async fn a_repeated_report_is_applied_once() {
         code: "dark".to_owned(),
         message: "dark".to_owned(),
     };
-    // As in `report`: the first transaction commits, but its answer is lost.
+    // Like `report`: the first transaction commits, but its answer is lost.
     let mut before = None;
     let report = report::Report::Event(&warning);
     store.report_once(&lease, report, &mut before).await.expect("told");
@@ -62,7 +62,7 @@ async fn jobs_wait_for_a_fitting_machine_and_owners_take_turns() {
 }
 
 #[tokio::test]
-async fn only_the_lease_holder_names_files_and_they_go_with_the_job() {
+async fn only_the_lease_holder_names_files_until_the_job_is_deleted() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let file = |path: &str, digest: &str| Kept {
@@ -127,9 +127,9 @@ async fn workers_are_listed_with_their_jobs_until_they_leave() {
     }
     store.claim("one/0", 60_000, &[]).await.expect("claim").expect("job");
     let workers = store.workers().await.expect("workers");
-    let told = workers.iter().map(|w| (w.id.as_str(), w.draining, w.running.len()));
-    let told: Vec<_> = told.collect();
-    assert_eq!(told, [("one", true, 1), ("two", false, 0)]);
+    let listed = workers.iter().map(|w| (w.id.as_str(), w.draining, w.running.len()));
+    let listed: Vec<_> = listed.collect();
+    assert_eq!(listed, [("one", true, 1), ("two", false, 0)]);
     assert_eq!(workers[0].about, about);
     store.forget_workers(Some("two"), 0).await.expect("gone");
     assert_eq!(store.workers().await.expect("workers").len(), 1);

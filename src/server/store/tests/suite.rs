@@ -180,15 +180,15 @@ async fn an_unknown_time_left_replaces_a_known_one() {
     create(&store, "j").await;
     let claim = store.claim("one", 60_000, &[]).await.expect("claim");
     let lease = claim.expect("job").lease;
-    for (progress, told, expected) in [
+    for (progress, eta_seconds, expected) in [
         (Some(0.1), Some(60.0), Some(60.0)),
-        // Only the stage advanced.
+        // Only the stage advances.
         (None, None, Some(60.0)),
         (Some(0.2), None, None),
     ] {
         let step = Progress {
             progress,
-            eta_seconds: told,
+            eta_seconds,
             ..Default::default()
         };
         store.advance(&lease, &step).await.expect("advance");
@@ -220,7 +220,7 @@ async fn deleting_a_job_deletes_its_rows_but_a_used_capture_stays() {
             .expect("events")
             .is_empty()
     );
-    // A list of its files that began earlier may end after the deletion.
+    // A listing of its files that began earlier may end after the deletion.
     let file = ("scene.ply", 3, 7);
     store.remember_digest("j", file, "d").await.expect("no fault");
     assert_eq!(store.digest("j", "scene.ply", 3, 7).await.expect("read"), None);
@@ -331,17 +331,17 @@ async fn a_job_knows_its_queue_position_and_when_its_stage_began() {
     }
     let claim = store.claim("w", 60_000, &[]).await.expect("claim");
     let lease = claim.expect("job").lease;
-    let told = async |id| store.told_job(id).await.expect("read").expect("job");
-    let places = [told("a").await, told("b").await, told("c").await];
+    let job = async |id| store.told_job(id).await.expect("read").expect("job");
+    let places = [job("a").await, job("b").await, job("c").await];
     assert_eq!(places.map(|j| j.queue_position), [None, Some(1), Some(2)]);
     let (stage, round) = (Stage::Poses, 0);
     let began = Event::StageStarted { stage, round };
     store.record(&lease, &began).await.expect("record");
-    let at = told("a").await.stage_started_at;
+    let at = job("a").await.stage_started_at;
     assert!(at.is_some_and(|at| at <= now_ms()));
     let settled = store.settle(&lease, &Settlement::Released).await;
     settled.expect("settle");
     store.claim("w", 60_000, &[]).await.expect("claim");
     // The new attempt has not begun a stage.
-    assert_eq!(told("a").await.stage_started_at, None);
+    assert_eq!(job("a").await.stage_started_at, None);
 }

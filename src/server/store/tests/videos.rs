@@ -1,4 +1,4 @@
-// Tests of videos as jobs: included once for each database.
+// Tests of videos as jobs, included once per database.
 
 const VIDEO_ROOM: VideoRoom = VideoRoom {
     of_job: 3,
@@ -10,14 +10,14 @@ async fn film(store: &Store, id: &str, job: &str) -> VideoCreation {
     made.expect("asked")
 }
 
-/// What a turn of this kind is given.
+/// The lease that a slot of this kind gets.
 async fn next(store: &Store, kind: JobKind) -> Option<Lease> {
     let claim = store.claim_fit(kind, "w/0", 60_000, &[], Machine::ANY).await;
     claim.expect("asked").map(|claim| claim.lease)
 }
 
 #[tokio::test]
-async fn videos_and_scenes_wait_in_one_queue_for_turns_of_their_own() {
+async fn videos_and_scenes_are_claimed_separately_and_in_order() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     for id in ["v1", "v2", "v3"] {
@@ -49,7 +49,7 @@ async fn videos_and_scenes_wait_in_one_queue_for_turns_of_their_own() {
 }
 
 #[tokio::test]
-async fn a_video_goes_with_its_job_and_its_worker_loses_the_lease() {
+async fn deleting_a_job_deletes_its_video_and_ends_the_lease() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     film(&store, "v", "j").await;
@@ -61,7 +61,7 @@ async fn a_video_goes_with_its_job_and_its_worker_loses_the_lease() {
 }
 
 #[tokio::test]
-async fn a_video_counts_as_no_job_and_outlives_its_worker_as_one() {
+async fn a_video_is_not_counted_as_a_job_and_outlives_its_worker() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     store.request_cancel("j").await.expect("cancelled");

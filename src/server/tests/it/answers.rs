@@ -13,7 +13,7 @@ fn camera(focal: f64) -> Value {
 }
 
 #[test]
-fn past_the_end_of_a_log_there_is_nothing() {
+fn a_page_past_the_end_of_a_log_is_empty() {
     let server = Server::start();
     let job = server.job("few_poses");
     server.wait_state(&job, "failed");
@@ -165,7 +165,7 @@ fn no_answer_contains_a_path_of_the_server() {
 }
 
 #[test]
-fn texts_that_control_what_shows_them_are_refused() {
+fn texts_with_control_characters_are_refused() {
     let server = Server::start();
     let capture = server.capture(3);
     let code = |reply: Reply| reply.expect(422).json()["code"].clone();
@@ -207,7 +207,7 @@ fn texts_that_control_what_shows_them_are_refused() {
 fn a_body_that_does_not_fit_is_refused_in_plain_words() {
     let server = Server::start();
     let json = [("content-type", "application/json")];
-    for (body, status, told) in [
+    for (body, status, detail) in [
         ("{", 400, "The body is not JSON: it ends too early."),
         ("{]", 400, "The body is not JSON: see line 1, column 2."),
         ("[]", 422, "The body must be an object."),
@@ -216,12 +216,12 @@ fn a_body_that_does_not_fit_is_refused_in_plain_words() {
         ("{\"capture_id\":\"a\",\"options\":[]}", 422, "`options` must be an object."),
     ] {
         let refused = server.post("/v1/jobs", body.as_bytes(), &json).expect(status);
-        assert_eq!(refused.json()["detail"], told, "{body}");
+        assert_eq!(refused.json()["detail"], detail, "{body}");
         assert_eq!(refused.header("content-type"), "application/problem+json");
     }
     let options = json!({ "capture_id": server.capture(3), "options": { "rounds": "two" } });
     let refused = server.post_json("/v1/jobs", &options, &[]).expect(422).json();
-    let told = "option `rounds`: must be a whole number from 0 to 4294967295";
-    assert_eq!(refused["detail"], told);
+    let detail = "option `rounds`: must be a whole number from 0 to 4294967295";
+    assert_eq!(refused["detail"], detail);
     assert_eq!(refused["pointer"], "/options/rounds");
 }

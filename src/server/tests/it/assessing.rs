@@ -121,7 +121,7 @@ fn memory(process: &Path) -> u64 {
     1024 * held.map_or(0, |held| held.trim().parse().expect("a number"))
 }
 
-/// A replacement of FFmpeg that never ends and is recognised by its `sleep` argument.
+/// A replacement for FFmpeg that never ends and is identified by its `sleep` argument.
 fn endless_ffmpeg(folder: &Path, seconds: &str) -> PathBuf {
     let path = folder.join("endless-ffmpeg");
     fs::write(&path, format!("#!/bin/sh\nexec sleep {seconds}\n")).expect("written");
@@ -138,7 +138,7 @@ fn sleepers(seconds: &str) -> usize {
 
 #[test]
 fn a_video_reader_ends_with_its_client_and_its_server() {
-    // A duration that no other test uses.
+    // A duration used by no other test.
     let seconds = format!("9{:06}", std::process::id());
     let folder = tempfile::tempdir().expect("folder");
     let program = endless_ffmpeg(folder.path(), &seconds);

@@ -29,9 +29,9 @@ fn a_backup_has_finished_jobs_and_starts_the_rest_afresh() {
     let nowhere = server.data.path().join("nowhere");
     assert!(copy(&nowhere, &nowhere.join("copy")).is_err());
     fs::remove_dir_all(&to).expect("removed");
-    let told = copy(&from, &to).expect("copied");
-    assert_eq!((told.captures, told.jobs, told.anew), (3, 2, 1));
-    assert!(told.bytes > 0);
+    let copied = copy(&from, &to).expect("copied");
+    assert_eq!((copied.captures, copied.jobs, copied.anew), (3, 2, 1));
+    assert!(copied.bytes > 0);
     assert!(!to.join("jobs").join(&running).exists());
 
     other.restart();

@@ -1,4 +1,4 @@
-//! Uploads through a real server process: what is accepted, what is refused, where it is stored.
+//! Uploads through a real server process: what is accepted, refused, and stored where.
 
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -34,7 +34,7 @@ fn bad_files_are_listed_until_too_few_good_ones_remain() {
         Some(1),
         "only what was accepted is kept"
     );
-    // Their folders go with the validation process, which ends a moment after the answer.
+    // Their folders are removed with the validation process, which ends shortly after the answer.
     let begun = Instant::now();
     let incoming = server.data.path().join("data/incoming");
     while std::fs::read_dir(&incoming).expect("folder").count() > 0 {
@@ -87,20 +87,20 @@ fn names_cannot_escape_the_capture() {
 }
 
 #[test]
-fn a_photograph_is_known_by_the_path_that_it_was_sent_under() {
+fn a_photograph_is_named_by_the_path_it_was_sent_with() {
     let server = Server::start();
     let names = ["cam0/0.png", "cam0/1.png", "cam1\\0.png", "cam1/a%22b.png"];
     let parts: Vec<_> =
         names.iter().enumerate().map(|(i, name)| file(name, &photograph(i))).collect();
     let capture = server.upload("/v1/captures", &parts, &[]).expect(201).json();
-    let told: Vec<&str> = { capture["images"].as_array().expect("assessments").iter() }
+    let shown: Vec<&str> = { capture["images"].as_array().expect("assessments").iter() }
         .map(|image| image["name"].as_str().expect("a name"))
         .collect();
-    assert_eq!(told, ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]);
+    assert_eq!(shown, ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]);
 }
 
 #[test]
-fn every_photograph_that_was_decoded_is_shown_small_and_whole() {
+fn every_photograph_has_a_thumbnail_and_its_original() {
     let server = Server::start();
     let zipped =
         zip(&[("a.png", photograph(1)), ("b.png", photograph(2)), ("c.png", photograph(3))]);
@@ -169,7 +169,7 @@ fn a_sample_is_a_capture_like_any_other() {
 }
 
 #[test]
-fn poses_that_may_be_of_two_photographs_are_refused_and_name_both() {
+fn ambiguous_poses_are_refused_naming_both_photographs() {
     let server = Server::start();
     let frame = |name: &str| {
         let matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
@@ -188,7 +188,7 @@ fn poses_that_may_be_of_two_photographs_are_refused_and_name_both() {
 }
 
 #[test]
-fn several_places_are_told_as_for_a_folder() {
+fn several_places_are_reported_as_for_a_folder() {
     let server = Server::start();
     let parts: Vec<_> = { ["garden/0.png", "garden/1.png", "kitchen/0.png"].iter().enumerate() }
         .map(|(i, name)| file(name, &photograph(i)))

@@ -51,7 +51,7 @@ fn a_trickling_body_times_out() {
         )
         .expect("head");
     let start = Instant::now();
-    // A byte now and then, so that no pause is long.
+    // One byte at a time, so that no pause is long.
     while start.elapsed() < Duration::from_secs(8) {
         sleep(Duration::from_millis(100));
         if stream.write_all(b"a").is_err() {
@@ -77,7 +77,7 @@ fn an_unread_answer_times_out() {
     let mut stream = connect(&server);
     write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("request");
     sleep(Duration::from_secs(4));
-    // There is only one place, and it is free again.
+    // The only place is free again.
     let mut other = connect(&server);
     write!(other, "GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("request");
     let mut head = [0; 15];
@@ -166,6 +166,6 @@ fn a_refused_endless_upload_is_cut_off() {
     let body = vec![b'a'; 1 << 20];
     let taken = (0..total >> 20).take_while(|_| stream.write_all(&body).is_ok());
     let taken = taken.count();
-    // The content of the buffers at both ends comes on top.
+    // The buffers at both ends hold more data.
     assert!(taken < 200, "{taken} MiB");
 }

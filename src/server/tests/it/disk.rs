@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use crate::support::{Server, deflated, file, photographs, text};
 use serde_json::json;
 
-/// More than any disk has.
+/// More than the capacity of any disk.
 const NO_SPACE: [(&str, &str); 1] = [("FLED_FAKE_MIN_FREE", "1152921504606846976")];
 
 #[test]
@@ -95,7 +95,7 @@ fn a_temporarily_full_disk_loses_nothing() {
         let ids: Vec<i64> =
             server.events(&job, 0, usize::MAX).iter().map(|event| event.0).collect();
         assert_eq!(ids, (1..=ids.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
-        // What was refused while the disk was full is accepted now.
+        // Uploads refused while the disk was full are accepted now.
         server.capture(3);
         *met.entry(stage).or_default() += 1;
     }

@@ -104,7 +104,7 @@ fn a_share_link_shows_exports_and_a_stranger_sees_none() {
     for path in ["", "/restored.zip", "/scene.compressed.ply"] {
         assert_eq!(get(path, &link), 200, "{path}");
         assert_eq!(get(path, &stranger), 404, "{path}");
-        let nobody = server.get(&format!("/v1/jobs/{job}/exports{path}"), &[]);
-        nobody.expect(401);
+        let anonymous = server.get(&format!("/v1/jobs/{job}/exports{path}"), &[]);
+        anonymous.expect(401);
     }
 }

@@ -1,5 +1,5 @@
-//! Faults of one machine of many, each at a chosen moment: its death, a network cut, a wrong clock,
-//! a failing bucket. The job ends as if nothing had happened.
+//! Faults of one machine among many, each at a chosen moment: a crash, a network cut, a wrong
+//! clock, a failing bucket. The job ends as it would without the fault.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -40,17 +40,17 @@ fn a_worker_may_die_at_any_failpoint() {
         worker.dies();
         assert!(gone(&job), "{failpoint}: its process ends with it");
         // The same worker, back at once, or another one, after its lease has expired.
-        let heir = if index % 2 == 0 { name } else { format!("heir-{index}") };
-        let _heir = farm.worker(&heir);
+        let successor = if index % 2 == 0 { name } else { format!("heir-{index}") };
+        let _successor = farm.worker(&successor);
         succeeds(&api, &job, &calm);
         let attempts = if failpoint == Failpoint::Settled { 1 } else { 2 };
         assert_eq!(api.show(&job)["attempts"], attempts, "{failpoint}");
     }
-    let told = farm.postgres.psql(
+    let count = farm.postgres.psql(
         "fled_0",
         "SELECT COUNT(*) FROM events WHERE kind = 'state' AND data LIKE '%succeeded%'",
     );
-    assert_eq!(told.as_deref(), Ok("12"), "each is done once");
+    assert_eq!(count.as_deref(), Ok("12"), "each is done once");
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn wrong_clocks_do_not_disturb_workers() {
         let took = seconds(&shown["finished_at"]) - seconds(&shown["created_at"]);
         assert!((0..60).contains(&took), "{took} s by the database's clock");
     }
-    // One of them alone, killed: the other waits for the end of its lease, like any worker.
+    // Now one of them alone, killed: the other waits until its lease ends, like any worker.
     drop(behind);
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
@@ -87,11 +87,11 @@ type Environment = Vec<(String, String)>;
 /// Environment variables that shift a process's time of day but not its monotonic clock.
 fn wrong_clock(offset: &str) -> Environment {
     let by = ["--exclude-monotonic", "-f", offset];
-    let told = Command::new("faketime").args(by).arg("env").output();
-    let told = String::from_utf8(told.expect("faketime runs").stdout).expect("words");
+    let output = Command::new("faketime").args(by).arg("env").output();
+    let output = String::from_utf8(output.expect("faketime runs").stdout).expect("words");
     let is_meant =
         |name: &str| name == "LD_PRELOAD" || name.contains("FAKE") && name != "FAKETIME_SHARED";
-    let clock: Environment = told
+    let clock: Environment = output
         .lines()
         .filter_map(|line| line.split_once('='))
         .filter(|(name, _)| is_meant(name))
@@ -252,7 +252,7 @@ fn a_failing_or_slow_bucket_loses_nothing() {
     assert_eq!(api.show(&job)["attempts"], 1, "slow is not dead");
     bucket.misbehave(|_| Fault::None);
 
-    // Downloads of a worker that takes over break off repeatedly.
+    // Downloads of the worker that takes over are interrupted repeatedly.
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
     worker.kill();

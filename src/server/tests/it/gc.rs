@@ -23,14 +23,14 @@ fn wait<T>(future: impl Future<Output = T>) -> T {
 
 /// The reported removals by path, and the totals.
 fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static str)>, Collected) {
-    let mut told = BTreeMap::new();
-    let mut tell = |gone: &fled_server::Gone| {
+    let mut removed = BTreeMap::new();
+    let mut note = |gone: &fled_server::Gone| {
         let path = gone.path.to_string_lossy().into_owned();
-        let before = told.insert(path, (gone.bytes, gone.why));
+        let before = removed.insert(path, (gone.bytes, gone.why));
         assert!(before.is_none(), "told twice: {gone:?}");
     };
-    let done = wait(gc(data, options, &mut tell));
-    (told, done.expect("collected"))
+    let done = wait(gc(data, options, &mut note));
+    (removed, done.expect("collected"))
 }
 
 fn write(path: &Path, bytes: usize) {
@@ -82,7 +82,7 @@ fn a_dry_run_lists_exactly_what_is_removed() {
 }
 
 #[test]
-fn cached_poses_go_one_by_one_when_they_were_not_used_for_long() {
+fn only_cached_poses_unused_for_long_are_removed() {
     let mut server = Server::start();
     server.kill();
     let data = server.data.path().join("data");
@@ -132,11 +132,11 @@ fn beside_a_server_recent_files_stay() {
     for young in ["captures/young/a.jpg", "incoming/young/a.jpg", "uploads/young", "cache/a.json"] {
         write(&data.join(young), 10);
     }
-    let (told, collected) = collect(&data, &DO);
-    assert!(collected.beside_server && told.is_empty(), "{told:#?}");
+    let (removed, collected) = collect(&data, &DO);
+    assert!(collected.beside_server && removed.is_empty(), "{removed:#?}");
     let old = GcOptions { unnamed: 30 * DAY, ..DO };
-    let (told, _) = collect(&data, &old);
-    assert!(told.is_empty(), "{told:#?}");
+    let (removed, _) = collect(&data, &old);
+    assert!(removed.is_empty(), "{removed:#?}");
 }
 
 #[test]

@@ -43,7 +43,7 @@ fn a_job_goes_from_upload_to_results() {
 }
 
 #[test]
-fn a_job_can_be_renamed_and_tagged_and_tells_its_score() {
+fn a_job_can_be_renamed_and_tagged_and_shows_its_score() {
     let server = Server::start();
     let mut parts = photographs(4);
     let truth = |(_, name, content): Part| ("gt".to_owned(), name, content);
@@ -164,7 +164,7 @@ fn a_job_survives_the_death_of_its_server_with_all_events() {
         let last = events.last().map_or(0, |(id, ..)| *id);
         let shown = server.show(&job);
         assert!(shown["state"] == "running" || shown["state"] == "queued", "{shown:#}");
-        // The events so far, from the end of the last reading.
+        // The events so far, since the last read.
         events.extend(server.events(&job, last, 7));
     }
     let done = server.wait_state(&job, "succeeded");

@@ -1,4 +1,4 @@
-//! Random kills of a server and its child processes, and what is left of the work.
+//! Random kills of a server and its child processes, and the state of the work afterwards.
 //!
 //! `FLED_KILLS=200 cargo test --release -p fled-server --test it kills -- --nocapture` kills more
 //! often than CI does; both print a table.
@@ -22,7 +22,7 @@ const KILLS: usize = 20;
 const PLAN: &str = "slow:15";
 /// Range of times between a job's start and a kill, in milliseconds.
 const AFTER_MS: (u64, u64) = (20, 450);
-/// Timeout of everything that should happen soon.
+/// Timeout of everything that should happen quickly.
 const SOON: Duration = Duration::from_secs(20);
 
 /// The process to kill.
@@ -77,7 +77,7 @@ impl Dice {
 
 type Events = Vec<(i64, String, Value)>;
 
-struct Ordeal {
+struct KillRun {
     server: Server,
     dice: Dice,
     /// The files of an undisturbed job.
@@ -94,19 +94,19 @@ struct Ordeal {
 fn nothing_is_lost_after_random_kills() {
     let number = |name, default| std::env::var(name).map_or(default, |n| n.parse().expect(name));
     let kills = number("FLED_KILLS", KILLS);
-    let mut ordeal = Ordeal::new(number("FLED_KILLS_SEED", 7) as u64);
+    let mut run = KillRun::new(number("FLED_KILLS_SEED", 7) as u64);
     let start = Instant::now();
     let mut jobs = 0;
-    while ordeal.kills() < kills {
-        ordeal.job(kills);
+    while run.kills() < kills {
+        run.job(kills);
         jobs += 1;
     }
-    let lost = ordeal.lost();
+    let lost = run.lost();
     let seconds = start.elapsed().as_secs_f64();
-    eprintln!("{jobs} jobs, {seconds:.0} s, {} captures", ordeal.accepted.len());
+    eprintln!("{jobs} jobs, {seconds:.0} s, {} captures", run.accepted.len());
     eprintln!("| killed | times | seconds of work done again | most at once | lost |");
     eprintln!("|---|---|---|---|---|");
-    for (target, tally) in &ordeal.tallies {
+    for (target, tally) in &run.tallies {
         eprintln!(
             "| {target:?} | {} | {:.1} | {:.2} | {lost} |",
             tally.kills,
@@ -115,10 +115,10 @@ fn nothing_is_lost_after_random_kills() {
         );
     }
     assert_eq!(lost, 0);
-    assert!(ordeal.kills() >= kills);
+    assert!(run.kills() >= kills);
 }
 
-impl Ordeal {
+impl KillRun {
     fn new(seed: u64) -> Self {
         let server = Server::start();
         let calm = server.job("ok");
@@ -147,7 +147,8 @@ impl Ordeal {
         let job = self.server.job(PLAN);
         let mut events = Events::new();
         let mut listener = self.listen(&job, 0);
-        // Progress at the last kill of the job or its server, and whether that was no advance.
+        // The progress at the last kill of the job or its server, and whether there was none since
+        // the one before.
         let (mut seen, mut in_vain) = (0.0, false);
         while self.kills() < kills {
             let wait = self.dice.wait(AFTER_MS);
@@ -304,10 +305,10 @@ impl Ordeal {
     /// Counts accepted captures that are missing or incomplete.
     fn lost(&self) -> usize {
         let is_lost = |id: &&String| {
-            let told = self.server.get(&format!("/v1/captures/{id}"), &[]);
+            let shown = self.server.get(&format!("/v1/captures/{id}"), &[]);
             let images = self.server.data.path().join("data/captures").join(id).join("images");
-            let named = || told.json()["images"].as_array().map_or(0, Vec::len);
-            told.status != 200 || files(&images).len() != named()
+            let named = || shown.json()["images"].as_array().map_or(0, Vec::len);
+            shown.status != 200 || files(&images).len() != named()
         };
         self.accepted.iter().filter(is_lost).count()
     }

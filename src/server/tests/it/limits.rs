@@ -128,12 +128,12 @@ fn metrics_are_only_for_the_admin() {
     server.wait_state(&job, "succeeded");
     let open = server.get("/metrics", &[("x-request-id", "of-mine")]).expect(200);
     assert_eq!(open.header("x-request-id"), "of-mine");
-    let told = open.text();
-    assert!(told.contains("fled_jobs{state=\"succeeded\"} 1\n"), "{told}");
-    assert!(told.contains("fled_jobs{state=\"queued\"} 0\n"), "{told}");
+    let metrics = open.text();
+    assert!(metrics.contains("fled_jobs{state=\"succeeded\"} 1\n"), "{metrics}");
+    assert!(metrics.contains("fled_jobs{state=\"queued\"} 0\n"), "{metrics}");
     let posted = "fled_requests_total{method=\"POST\",route=\"/v1/jobs\",status=\"202\"} 1\n";
-    assert!(told.contains(posted), "{told}");
-    assert!(told.contains("route=\"/v1/jobs/{id}\"") && !told.contains(&job));
+    assert!(metrics.contains(posted), "{metrics}");
+    assert!(metrics.contains("route=\"/v1/jobs/{id}\"") && !metrics.contains(&job));
     let (admin, _) = token(&server, "admin");
     let (anna, _) = token_of("anna", &server, USER);
     server.get("/metrics", &[]).expect(401);
@@ -157,8 +157,8 @@ fn an_event_stream_ends_with_its_token() {
         let revoked = with_store(&server, async |store| store.revoke_token(&which).await);
         assert!(revoked.expect("done"));
         let ended = Instant::now();
-        let told = stream.join().expect("it ends");
-        assert!(told.contains("event: state"), "{told}");
+        let events = stream.join().expect("it ends");
+        assert!(events.contains("event: state"), "{events}");
         let took = ended.elapsed();
         assert!(took < Duration::from_secs(8), "{took:?}");
     });
@@ -167,7 +167,7 @@ fn an_event_stream_ends_with_its_token() {
 }
 
 #[test]
-fn a_job_announces_its_expiry_and_goes_unless_pinned() {
+fn a_job_announces_its_expiry_and_is_deleted_unless_pinned() {
     let kept = [("FLED_FAKE_KEEP_MS", "0"), ("FLED_FAKE_NOTICE_MS", "60000")];
     let mut server = Server::start_with(&kept);
     let (goes, stays) = (server.job("ok"), server.job("ok"));

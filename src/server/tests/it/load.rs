@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::support::Server;
 use serde_json::json;
 
-/// A finished job whose scene takes 700 ms per image.
+/// A finished job whose scene takes 700 ms per render.
 fn slow_scene(server: &Server) -> String {
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");

@@ -1,4 +1,4 @@
-//! Several machines, whose replicas, workers, database and blob store fail.
+//! Several machines, with failing replicas, workers, database and blob store.
 
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
@@ -38,7 +38,7 @@ fn a_job_posted_to_one_replica_is_visible_at_another() {
     let log = one.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
     assert!(log.text().contains("finished"), "{}", log.text());
     assert!(worker.folder.join("data/jobs").join(&job).is_dir());
-    // A replica that starts later has everything too.
+    // A replica that starts later can read everything too.
     let (_three, three) = farm.replica("three");
     assert!(scene(&three, &job) == calm);
     let listed = three.get("/v1/jobs", &[]).expect(200).json();
@@ -62,7 +62,7 @@ fn a_replica_without_files_of_a_job_makes_views_and_videos() {
         assert!(since.elapsed() < PATIENCE, "{begun} is not begun");
         sleep(Duration::from_millis(20));
     }
-    // Another makes it, and has nothing of what it shows.
+    // Another replica makes it, without the job's files.
     one.kill();
     let (_two, two) = farm.replica("two");
     let since = Instant::now();
@@ -187,7 +187,7 @@ fn jobs_on_workers_killed_at_random_are_all_done_once() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    // A job may be hit repeatedly by chance: it must not fail for that.
+    // Kills may hit the same job repeatedly, which must not make it fail.
     let lucky = [("FLED_FAKE_DEATHS", "1000")];
     let at = |number: u64| farm.worker_by(&[], &format!("w{number}"), &lucky);
     let mut workers: Vec<Machine> = (0..count).map(at).collect();
@@ -216,11 +216,11 @@ fn jobs_on_workers_killed_at_random_are_all_done_once() {
     for job in &made {
         succeeds(&api, job, &calm);
     }
-    let told = farm.postgres.psql(
+    let count = farm.postgres.psql(
         "fled_0",
         "SELECT COUNT(*) FROM events WHERE kind = 'state' AND data LIKE '%succeeded%'",
     );
-    assert_eq!(told, Ok(jobs.to_string()), "each is done once");
+    assert_eq!(count, Ok(jobs.to_string()), "each is done once");
     eprintln!("{kills} kills, {:.0} s", begun.elapsed().as_secs_f64());
 }
 
@@ -240,8 +240,8 @@ fn trains(api: &Client, job: &str) {
 fn steps(api: &Client, job: &str, words: &str) -> Vec<u64> {
     let log = api.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
     let text = log.text();
-    let told = text.split(words).skip(1);
-    let digits = told.map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
+    let after = text.split(words).skip(1);
+    let digits = after.map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
     digits.map(|step| step.and_then(|step| step.parse().ok()).expect("a step")).collect()
 }
 

@@ -7,11 +7,11 @@ use crate::support::{Server, gone};
 use fled_tests::Reply;
 use serde_json::{Value, json};
 
-/// How long a video of a few frames may take beside other tests.
+/// Timeout of a video of a few frames, while other tests run.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A server with a finished job, and the path of its videos.
-fn stand() -> (Server, String, String) {
+fn server_with_job() -> (Server, String, String) {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -19,7 +19,7 @@ fn stand() -> (Server, String, String) {
     (server, job, path)
 }
 
-/// Small ones: their content does not matter here.
+/// A small video: its content does not matter here.
 fn order(fps: u32, seconds: f64) -> Value {
     json!({ "kind": "orbit", "fps": fps, "seconds": seconds, "width": 128 })
 }
@@ -47,7 +47,7 @@ fn wait_state(server: &Server, path: &str, state: &str) -> Value {
 
 #[test]
 fn a_video_is_made_and_sent_whole_and_in_ranges() {
-    let (server, _, videos) = stand();
+    let (server, _, videos) = server_with_job();
     let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
     let path = reply.header("location").to_owned();
     let made = id(reply);
@@ -79,8 +79,8 @@ fn a_video_is_made_and_sent_whole_and_in_ranges() {
 }
 
 #[test]
-fn a_video_is_no_job_to_those_who_look_for_jobs() {
-    let (server, job, videos) = stand();
+fn a_video_is_not_found_as_a_job() {
+    let (server, job, videos) = server_with_job();
     let video = id(server.post_json(&videos, &order(10, 1.0), &[]));
     let listed = server.get("/v1/jobs", &[]).expect(200).json();
     assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(1));
@@ -96,7 +96,7 @@ fn a_video_is_no_job_to_those_who_look_for_jobs() {
     wait_state(&server, &format!("{videos}/{video}"), "succeeded");
     let metrics = server.get("/metrics", &[]).expect(200).text();
     assert!(metrics.contains("fled_jobs{state=\"succeeded\"} 1"), "{metrics}");
-    // Nor is it another job's.
+    // Nor does it belong to another job.
     let other = server.job("ok");
     let there = format!("/v1/jobs/{other}/videos/{video}");
     server.get(&there, &[]).expect(404);
@@ -106,7 +106,7 @@ fn a_video_is_no_job_to_those_who_look_for_jobs() {
 
 #[test]
 fn videos_queue_up_and_can_be_cancelled_at_any_time() {
-    let (server, job, videos) = stand();
+    let (server, job, videos) = server_with_job();
     let of = |seconds| id(server.post_json(&videos, &order(5, seconds), &[]));
     let (first, second, third) = (of(20.0), of(20.0), of(1.0));
     let path = |id: &str| format!("{videos}/{id}");
@@ -128,7 +128,7 @@ fn videos_queue_up_and_can_be_cancelled_at_any_time() {
 
 #[test]
 fn a_video_is_restarted_after_the_death_of_the_server() {
-    let (mut server, _, videos) = stand();
+    let (mut server, _, videos) = server_with_job();
     let slow = format!("{videos}/{}", id(server.post_json(&videos, &order(5, 3.0), &[])));
     let next = format!("{videos}/{}", id(server.post_json(&videos, &order(10, 1.0), &[])));
     let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.1);
@@ -144,7 +144,7 @@ fn a_video_is_restarted_after_the_death_of_the_server() {
 
 #[test]
 fn a_failed_video_reports_why_and_the_next_is_made() {
-    let (server, _, videos) = stand();
+    let (server, _, videos) = server_with_job();
     let of = |fps| format!("{videos}/{}", id(server.post_json(&videos, &order(fps, 1.0), &[])));
     let (refused, dead, good) = (of(7), of(9), of(10));
     let shown = wait_state(&server, &refused, "failed");
@@ -159,7 +159,7 @@ fn a_failed_video_reports_why_and_the_next_is_made() {
 
 #[test]
 fn invalid_video_requests_are_refused_with_a_reason() {
-    let (server, job, videos) = stand();
+    let (server, job, videos) = server_with_job();
     let post = |body: &Value| server.post_json(&videos, body, &[]);
     for (body, pointer) in [
         (json!({ "kind": "orbit", "seconds": 100 }), "/seconds"),
@@ -203,7 +203,7 @@ fn a_missing_ffmpeg_is_reported_with_a_hint() {
 
 #[test]
 fn deleting_a_job_stops_its_running_video() {
-    let (server, job, videos) = stand();
+    let (server, job, videos) = server_with_job();
     let video = id(server.post_json(&videos, &order(5, 20.0), &[]));
     let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.01);
     wait(&server, &format!("{videos}/{video}"), "under way", begun);
@@ -219,7 +219,7 @@ fn deleting_a_job_stops_its_running_video() {
 
 #[test]
 fn a_share_link_shows_videos_but_cannot_make_any() {
-    let (server, job, videos) = stand();
+    let (server, job, videos) = server_with_job();
     let path = format!("{videos}/{}", id(server.post_json(&videos, &order(10, 1.0), &[])));
     wait_state(&server, &path, "succeeded");
     let (admin, _) = token_of("root", &server, "admin");

@@ -13,7 +13,7 @@ fn a_text_field_of_300_mb_is_refused_without_buffering() {
     server.upload("/v1/captures?dry_run", &photographs(3), &[]).expect(200);
     let before = server.peak_memory();
     for head in [
-        // A field without an end, a header without an end, and no header at all.
+        // A field that does not end, a header that does not end, and no header at all.
         "--XXXX\r\nContent-Disposition: form-data; name=\"name\"\r\n\r\n",
         "--XXXX\r\nContent-Disposition: form-data; name=\"images\"; filename=\"",
         "",

@@ -151,7 +151,7 @@ impl Target {
     }
 }
 
-/// Checks for a refusal whose message contains `words`.
+/// Checks for an error whose message contains `words`.
 #[track_caller]
 fn refused(outcome: Result<Migrated>, words: &str) {
     let error = outcome.expect_err("refused");
@@ -232,8 +232,8 @@ fn a_failed_migration_leaves_no_row_and_the_old_server_intact() {
     assert_eq!(new.rows(), 0);
     old.server.restart_with(&[("FLED_FAKE_WORKERS", "0")]);
     old.expect_same(&old.server);
-    let told = new.migrate(&data, &url, "store").expect_err("in use");
-    assert!(matches!(told, ServerError::DataInUse(_)), "{told:?}");
+    let error = new.migrate(&data, &url, "store").expect_err("in use");
+    assert!(matches!(error, ServerError::DataInUse(_)), "{error:?}");
     old.server.kill();
     assert_eq!(new.rows(), 0);
 

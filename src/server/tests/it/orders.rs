@@ -7,14 +7,14 @@ use crate::support::{Server, photographs, text};
 use fled_tests::Reply;
 use serde_json::{Value, json};
 
-/// The problem that an order with these options gets.
+/// The problem returned for an order with these options.
 fn refused(server: &Server, options: &Value) -> Value {
     let order = json!({ "capture_id": server.capture(3), "options": options });
     let reply = server.post_json("/v1/jobs", &order, &[]);
     reply.expect(422).json()
 }
 
-/// A time of an answer. As texts, whole seconds would sort behind their parts.
+/// A time in a response. As text, whole seconds would sort after their fractions.
 fn instant(time: &Value) -> jiff::Timestamp {
     time.as_str().and_then(|time| time.parse().ok()).expect("a time")
 }
@@ -92,7 +92,7 @@ fn only_networks_of_the_models_folder_can_be_chosen() {
     let order = json!({ "capture_id": capture, "options": options });
     server.post_json("/v1/jobs", &order, &[]).expect(202);
 
-    // Copied without the file that has its weights.
+    // Copied without the file of its weights.
     std::fs::copy(golden.join("external3.onnx"), models.join("halves.onnx")).expect("copied");
     let problem = refused(&server, &json!({ "deblur": "halves.onnx" }));
     assert_eq!(problem["pointer"], "/options/deblur");

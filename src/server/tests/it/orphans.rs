@@ -48,12 +48,12 @@ fn uploads_of_disconnected_clients_leave_nothing() {
         assert!(start.elapsed() < Duration::from_secs(10), "left: {left:?}");
         sleep(Duration::from_millis(100));
     }
-    // The last capture has its files a moment before its row.
-    let told = || {
-        let told = server.get("/v1/captures?limit=200", &[]).expect(200).json();
-        told["captures"].as_array().expect("captures").len()
+    // The files of the last capture exist shortly before its row.
+    let listed = || {
+        let listed = server.get("/v1/captures?limit=200", &[]).expect(200).json();
+        listed["captures"].as_array().expect("captures").len()
     };
-    while names(&data.join("captures")).len() != told() {
+    while names(&data.join("captures")).len() != listed() {
         assert!(start.elapsed() < Duration::from_secs(10), "files without a row");
         sleep(Duration::from_millis(100));
     }
@@ -94,7 +94,7 @@ fn a_database_restored_from_an_older_backup_loses_no_capture() {
     let copy = |from: &Path, to: &Path| {
         for name in databases {
             if fs::copy(from.join(name), to.join(name)).is_err() {
-                // Not every database has a log beside it.
+                // Only some databases have a log file.
                 let _ = fs::remove_file(to.join(name));
             }
         }

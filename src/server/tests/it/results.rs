@@ -85,7 +85,7 @@ fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
     server.wait(&job, "seen", |_| live("").status == 200);
     let first = live("").expect(200);
     server.wait(&job, "seen twice", |_| live(first.header("etag")).status == 200);
-    // The next picture may come between the two requests.
+    // The picture may change between the two requests.
     server.wait(&job, "seen unchanged", |_| {
         let picture = live("").expect(200);
         assert_eq!(
@@ -104,12 +104,12 @@ fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
     assert!(!server.data.path().join(left).exists());
 
     let events = server.events(&job, 0, usize::MAX);
-    let told = |name: &str| -> Vec<_> {
+    let data_of = |name: &str| -> Vec<_> {
         let of_name = events.iter().filter(|(_, kind, _)| kind == name);
         of_name.map(|(_, _, data)| data.clone()).collect()
     };
-    let (scores, views) = (told("held_out_seen"), told("view_seen"));
-    // The cancellation may come between the second picture and the events that tell of it.
+    let (scores, views) = (data_of("held_out_seen"), data_of("view_seen"));
+    // The cancellation may come between the second picture and the events that report it.
     assert!(!views.is_empty() && !scores.is_empty(), "{events:?}");
     assert_eq!(
         scores[0],

@@ -131,29 +131,29 @@ fn a_share_link_ends_with_its_expiry_its_creator_or_its_job() {
     let (maker, maker_id) = token_of("root", &server, "admin");
     let path = format!("/v1/jobs/{job}");
     let holds = |link: &str| server.get(&path, &[("authorization", link)]).status == 200;
-    let told = || {
-        let told = server.get(&format!("{path}/shares"), &[("authorization", &admin)]);
-        told.expect(200).json()["shares"].as_array().map_or(0, Vec::len)
+    let listed = || {
+        let listed = server.get(&format!("{path}/shares"), &[("authorization", &admin)]);
+        listed.expect(200).json()["shares"].as_array().map_or(0, Vec::len)
     };
 
     let (ended, id) = link(&server, &job, &admin);
-    assert!(holds(&ended) && told() == 1);
+    assert!(holds(&ended) && listed() == 1);
     let end = || server.delete_as(&format!("{path}/shares/{id}"), &[("authorization", &admin)]);
     end().expect(204);
-    assert!(!holds(&ended) && told() == 0);
+    assert!(!holds(&ended) && listed() == 0);
     end().expect(404);
 
     let (of_maker, _) = link(&server, &job, &maker);
-    assert!(holds(&of_maker) && told() == 1);
+    assert!(holds(&of_maker) && listed() == 1);
     with_store(&server, async |store| {
         assert!(store.revoke_token(&maker_id).await.expect("done"));
     });
-    assert!(!holds(&of_maker) && told() == 0);
+    assert!(!holds(&of_maker) && listed() == 0);
 
     let now = now_ms();
     let expired = kept(&server, &job, &admin_id, now - 1);
     let in_time = kept(&server, &job, &admin_id, now + 60_000);
-    assert!(!holds(&expired) && holds(&in_time) && told() == 1);
+    assert!(!holds(&expired) && holds(&in_time) && listed() == 1);
 
     let soon = now_ms() + 3_600_000;
     let (short, _) = token_until(&server, "root", "admin", soon);
@@ -207,7 +207,7 @@ fn a_share_link_needs_the_scopes_that_it_grants() {
     let refused = make(&server, job, &blind, &json!({})).expect(403);
     assert_eq!(refused.json()["code"], "missing_scope");
     make(&server, job, &all, &json!({ "name": "for Bob" })).expect(201);
-    let told = server.get(&format!("/v1/jobs/{job}/shares"), &with).expect(200).json();
-    assert_eq!(told["shares"][0]["name"], "for Bob");
-    assert!(told["shares"][0].get("token").is_none());
+    let listed = server.get(&format!("/v1/jobs/{job}/shares"), &with).expect(200).json();
+    assert_eq!(listed["shares"][0]["name"], "for Bob");
+    assert!(listed["shares"][0].get("token").is_none());
 }

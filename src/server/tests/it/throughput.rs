@@ -115,8 +115,8 @@ fn lists(api: &Client, url: &str, job: &str) -> [(f64, f64); 2] {
 
 /// Processor seconds that a process has used.
 fn used(pid: u32) -> f64 {
-    let told = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("it lives");
-    let after = told.rsplit_once(')').expect("a name").1;
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("it lives");
+    let after = stat.rsplit_once(')').expect("a name").1;
     let fields: Vec<&str> = after.split_whitespace().collect();
     let ticks: f64 =
         [fields[11], fields[12]].iter().map(|field| field.parse::<f64>().expect("a number")).sum();
@@ -149,7 +149,7 @@ fn streams(api: &Client, pid: u32, job: &str) -> f64 {
     share
 }
 
-fn tell(store: &str, claims: f64, [few, many]: [(f64, f64); 2], share: f64) {
+fn print(store: &str, claims: f64, [few, many]: [(f64, f64); 2], share: f64) {
     eprintln!(
         "{store}: {claims:.0} claims/s; a page of {FEW} jobs p50 {:.1} ms p99 {:.1} ms, of {MANY} \
          p50 {:.1} ms p99 {:.1} ms; 200 streams {:.1} % of a core",
@@ -178,7 +178,7 @@ fn sqlite_serves_100_000_jobs_and_200_streams() {
     let share = streams(&server, server.pid(), &running);
     // Its own workers would claim jobs too.
     server.kill();
-    tell("SQLite", claims(&url, &job), lists, share);
+    print("SQLite", claims(&url, &job), lists, share);
 }
 
 #[test]
@@ -196,5 +196,5 @@ fn postgresql_serves_100_000_jobs_and_200_streams() {
     api.wait(&running, "runs", |shown| shown["state"] == "running");
     let share = streams(&api, machine.pid(), &running);
     drop((worker, machine));
-    tell("PostgreSQL", claims(&farm.url, &job), lists, share);
+    print("PostgreSQL", claims(&farm.url, &job), lists, share);
 }

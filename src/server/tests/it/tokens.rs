@@ -7,7 +7,7 @@ use crate::support::tokens::{token, token_of, with_store};
 use crate::support::{Server, photographs};
 use serde_json::json;
 
-/// Creates a capture and a finished job with a token that may see and start jobs.
+/// Creates a capture and a finished job with a token that may read and create jobs.
 fn job_of(server: &Server, header: &str) -> (String, String) {
     let headers = [("authorization", header)];
     let id = |reply: fled_tests::Reply| reply.json()["id"].as_str().expect("id").to_owned();
@@ -141,9 +141,9 @@ fn a_browser_logs_in_and_out_with_a_cookie() {
     let session = cookie(&server.post_json("/login", &right, &[own]).expect(204));
     assert!(!session.contains(secret), "the token itself is in no cookie");
     let browser = [("cookie", session.as_str())];
-    let told = server.get("/login", &browser).expect(200).json();
-    assert_eq!(told, who(true, Some("jobs:read,renders")));
-    // Requests to which a page cannot add a header: the event stream and images.
+    let answer = server.get("/login", &browser).expect(200).json();
+    assert_eq!(answer, who(true, Some("jobs:read,renders")));
+    // Requests to which a page cannot add a header: event streams and images.
     for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {
         server.get(&format!("/v1/jobs/{job}{path}"), &browser).expect(200);
     }
@@ -152,7 +152,7 @@ fn a_browser_logs_in_and_out_with_a_cookie() {
     server.post(&retry, b"", &browser).expect(403);
     let forged = [evil[0], evil[1], browser[0]];
     server.post(&retry, b"", &forged).expect(403);
-    // A session is no token, and an invalid header is not rescued by the cookie.
+    // A session is not a token, and the cookie does not make up for an invalid header.
     let as_token = session.replace("fled_session=", "Bearer ");
     server.get("/v1/jobs", &[("authorization", &as_token)]).expect(401);
     server.get("/v1/jobs", &[browser[0], ("authorization", "Bearer x")]).expect(401);
@@ -212,8 +212,8 @@ fn data_of_other_owners_is_not_found() {
 #[test]
 fn lists_contain_only_the_owners_data() {
     let server = Server::start();
-    let nobodys = server.job("ok");
-    server.wait_state(&nobodys, "succeeded");
+    let ownerless = server.job("ok");
+    server.wait_state(&ownerless, "succeeded");
     let scopes = "jobs:read,jobs:write,renders";
     let (anna, _) = token_of("anna", &server, scopes);
     let (bob, _) = token_of("bob", &server, scopes);
@@ -222,15 +222,15 @@ fn lists_contain_only_the_owners_data() {
     job_of(&server, &anna);
     let bobs = [("authorization", bob.as_str())];
     // Only the admin sees what was created before any token.
-    let path = format!("/v1/jobs/{nobodys}");
+    let path = format!("/v1/jobs/{ownerless}");
     server.get(&path, &[("authorization", &anna)]).expect(404);
     server.get(&path, &[("authorization", &admin)]).expect(200);
     let (_, own) = job_of(&server, &bob);
     for (header, jobs) in [(&anna, 1), (&bob, 1), (&unnamed, 0), (&admin, 3)] {
         for list in ["jobs", "captures"] {
-            let told = server.get(&format!("/v1/{list}"), &[("authorization", header)]);
-            let told = told.expect(200).json()[list].as_array().map(Vec::len);
-            assert_eq!(told, Some(jobs), "{list}");
+            let answer = server.get(&format!("/v1/{list}"), &[("authorization", header)]);
+            let answer = answer.expect(200).json()[list].as_array().map(Vec::len);
+            assert_eq!(answer, Some(jobs), "{list}");
         }
     }
     server.delete_as(&format!("/v1/jobs/{own}"), &bobs).expect(204);

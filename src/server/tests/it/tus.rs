@@ -32,15 +32,15 @@ fn options_describe_the_protocol_and_need_no_token() {
     let (_, _) = token_of("anna", &server, "jobs:write");
     for path in ["/v1/uploads", "/v1/uploads/any"] {
         // Clients that send no version get an answer too.
-        let told = server.ask("OPTIONS", path, &[], b"").expect(204);
+        let answer = server.ask("OPTIONS", path, &[], b"").expect(204);
         for (name, value) in
             [("tus-resumable", "1.0.0"), ("tus-version", "1.0.0"), ("tus-max-size", "1073741824")]
         {
-            assert_eq!(told.header(name), value, "{name}");
+            assert_eq!(answer.header(name), value, "{name}");
         }
         for extension in ["creation", "creation-with-upload", "expiration", "termination"] {
-            let mut told = told.header("tus-extension").split(',');
-            assert!(told.any(|known| known == extension), "{extension}");
+            let mut answer = answer.header("tus-extension").split(',');
+            assert!(answer.any(|known| known == extension), "{extension}");
         }
         server.ask("HEAD", path, &[], b"").expect(401);
     }
@@ -77,14 +77,14 @@ fn an_upload_arrives_in_pieces_and_reports_its_offset() {
     let begun = tus.ask("POST", "/v1/uploads", &headers, b"").expect(201);
     assert!(begun.header("upload-expires").ends_with(" GMT"));
     let path = begun.header("location").to_owned();
-    let told = tus.head(&path).expect(200);
+    let answer = tus.head(&path).expect(200);
     for (name, value) in [
         ("upload-offset", "0"),
         ("upload-length", "11"),
         ("upload-metadata", &*metadata),
         ("cache-control", "no-store"),
     ] {
-        assert_eq!(told.header(name), value, "{name}");
+        assert_eq!(answer.header(name), value, "{name}");
     }
     let first = tus.patch(&path, 0, b"hello ").expect(204);
     assert_eq!(first.header("upload-offset"), "6");
@@ -97,7 +97,7 @@ fn an_upload_arrives_in_pieces_and_reports_its_offset() {
     assert_eq!(empty.header("upload-offset"), "6");
     let last = tus.patch(&path, 6, b"world").expect(204);
     assert_eq!(last.header("upload-offset"), "11");
-    // It is finished: nothing can be added, and an empty piece does no harm.
+    // It is finished: nothing can be added, and an empty piece is accepted.
     tus.patch(&path, 11, b"").expect(204);
     tus.patch(&path, 11, b"!").expect(413);
     tus.patch(&path, 0, b"!").expect(409);
@@ -177,8 +177,8 @@ fn an_empty_upload_is_finished_at_once() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("empty.txt", 0);
-    let told = tus.head(&path).expect(200);
-    assert_eq!(told.header("upload-offset"), told.header("upload-length"));
+    let answer = tus.head(&path).expect(200);
+    assert_eq!(answer.header("upload-offset"), answer.header("upload-length"));
     tus.patch(&path, 0, b"").expect(204);
 }
 
@@ -323,8 +323,8 @@ fn a_post_can_override_its_method() {
     let by = |method| ("x-http-method-override", method);
     let offset = ("upload-offset", "0");
     tus.ask("POST", &path, &[by("PATCH"), PIECE, offset], b"abc").expect(204);
-    let told = tus.ask("POST", &path, &[by("HEAD")], b"").expect(200);
-    assert_eq!(told.header("upload-offset"), "3");
+    let answer = tus.ask("POST", &path, &[by("HEAD")], b"").expect(200);
+    assert_eq!(answer.header("upload-offset"), "3");
     tus.ask("POST", &path, &[by("PUT")], b"").expect(405);
     tus.ask("POST", &path, &[by("DELETE")], b"").expect(204);
     tus.head(&path).expect(404);

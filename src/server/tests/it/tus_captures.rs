@@ -31,8 +31,8 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 fn count(server: &Server, list: &str) -> usize {
-    let told = server.get(&format!("/v1/{list}"), &[]).expect(200).json();
-    told[list].as_array().expect("a list").len()
+    let listed = server.get(&format!("/v1/{list}"), &[]).expect(200).json();
+    listed[list].as_array().expect("a list").len()
 }
 
 fn path(id: &str) -> String {
@@ -104,7 +104,7 @@ fn uploads_become_at_most_one_job_per_key() {
     assert_eq!(made.header("idempotent-replayed"), "");
     let job = made.json();
     assert_eq!((&job["name"], &job["preset"]), (&"walk".into(), &"preview".into()));
-    // The answer was lost, and the uploads are used up.
+    // As if the answer was lost: the uploads are used up.
     let again = server.post_json("/v1/jobs", &order, &key).expect(202);
     assert_eq!(again.header("idempotent-replayed"), "true");
     assert_eq!(again.json()["id"], job["id"]);
@@ -145,12 +145,12 @@ fn uploads_stay_until_they_are_used() {
     let half = half.trim_start_matches("/v1/uploads/");
     let text = tus.upload("notes.jpg", b"no photograph");
     let refused = |uploads: Value, status: u16| {
-        let mut told = json!(null);
+        let mut problem = json!(null);
         for path in ["/v1/captures", "/v1/jobs"] {
             let order = json!({ "uploads": uploads });
-            told = server.post_json(path, &order, &[]).expect(status).json();
+            problem = server.post_json(path, &order, &[]).expect(status).json();
         }
-        told
+        problem
     };
     let unfinished = refused(json!([ids[0], half]), 409);
     assert_eq!(unfinished["code"], "unfinished");
@@ -171,7 +171,7 @@ fn uploads_stay_until_they_are_used() {
     assert_eq!((count(&server, "captures"), count(&server, "jobs")), (0, 0));
     let folder = server.data.path().join("data");
     assert_eq!(names(&folder.join("uploads")).len(), 6);
-    // A refusal is answered before its folder is removed.
+    // The refusal is sent before its folder is removed.
     let answered = Instant::now();
     while !names(&folder.join("incoming")).is_empty() && answered.elapsed().as_secs() < 5 {
         sleep(Duration::from_millis(10));
@@ -369,7 +369,7 @@ fn an_unfinished_piece_does_not_change_a_capture() {
     ids.push(last.trim_start_matches("/v1/uploads/").to_owned());
     let made = server.post_json("/v1/captures", &json!({ "uploads": ids }), &[]);
     let capture = made.expect(201).json()["id"].clone();
-    // One byte too many: the request, whose upload is already used, is cut off.
+    // One byte too many: the request is interrupted, because its upload is already used.
     let _ = stream.write_all(b"1\r\nx\r\n0\r\n\r\n");
     assert_eq!(status(&mut stream), "409", "another request has taken it over");
     let kept = server.data.path().join("data/captures");

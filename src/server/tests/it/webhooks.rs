@@ -20,12 +20,12 @@ use serde_json::{Value, json};
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A received request.
-struct Told {
+struct Received {
     headers: BTreeMap<String, String>,
     body: String,
 }
 
-impl Told {
+impl Received {
     fn json(&self) -> Value {
         serde_json::from_str(&self.body).expect("JSON")
     }
@@ -36,14 +36,14 @@ impl Told {
 }
 
 /// Listens, and answers the n-th request with the n-th status; the last one repeats.
-fn listener(statuses: &'static [u16]) -> (String, Receiver<Told>) {
+fn listener(statuses: &'static [u16]) -> (String, Receiver<Received>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("bound");
     let url = format!("http://{}/hook", listener.local_addr().expect("an address"));
     let (sender, receiver) = channel();
     std::thread::spawn(move || {
         for (at, stream) in listener.incoming().enumerate() {
             let mut stream = stream.expect("a connection");
-            let Some(told) = read(&mut stream) else {
+            let Some(request) = read(&mut stream) else {
                 continue;
             };
             let status = statuses[at.min(statuses.len() - 1)];
@@ -51,7 +51,7 @@ fn listener(statuses: &'static [u16]) -> (String, Receiver<Told>) {
                 "HTTP/1.1 {status} -\r\nlocation: http://127.0.0.1:1/\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
             );
             stream.write_all(answer.as_bytes()).expect("answered");
-            if sender.send(told).is_err() {
+            if sender.send(request).is_err() {
                 return;
             }
         }
@@ -59,7 +59,7 @@ fn listener(statuses: &'static [u16]) -> (String, Receiver<Told>) {
     (url, receiver)
 }
 
-fn read(stream: &mut TcpStream) -> Option<Told> {
+fn read(stream: &mut TcpStream) -> Option<Received> {
     let mut reader = BufReader::new(stream);
     let mut line = String::new();
     reader.read_line(&mut line).ok().filter(|&read| read > 0)?;
@@ -75,7 +75,7 @@ fn read(stream: &mut TcpStream) -> Option<Told> {
     let mut body = vec![0; headers.get("content-length")?.parse().ok()?];
     reader.read_exact(&mut body).ok()?;
     let body = String::from_utf8(body).expect("UTF-8");
-    Some(Told { headers, body })
+    Some(Received { headers, body })
 }
 
 fn server() -> Server {
@@ -100,8 +100,8 @@ fn now() -> i64 {
 
 fn deliveries(server: &Server, hook: &str) -> Vec<Value> {
     let path = format!("/v1/webhooks/{hook}/deliveries");
-    let told = server.get(&path, &[]).expect(200).json();
-    told["deliveries"].as_array().expect("deliveries").clone()
+    let listed = server.get(&path, &[]).expect(200).json();
+    listed["deliveries"].as_array().expect("deliveries").clone()
 }
 
 fn until<T>(what: &str, look: impl Fn() -> Option<T>) -> T {
@@ -118,30 +118,30 @@ fn until<T>(what: &str, look: impl Fn() -> Option<T>) -> T {
 #[test]
 fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
     let server = server();
-    let (url, told) = listener(&[204]);
+    let (url, requests) = listener(&[204]);
     let (_, secret) = hook(&server, &url, None);
     let job = server.job("");
     let mut types = Vec::new();
     while !["job.succeeded", "round.finished"].iter().all(|one| types.contains(&(*one).to_owned()))
     {
-        let told = told.recv_timeout(PATIENCE).expect("told");
+        let request = requests.recv_timeout(PATIENCE).expect("told");
         assert!(
-            genuine::genuine(&secret, told.headers(), told.body.as_bytes(), now()),
+            genuine::genuine(&secret, request.headers(), request.body.as_bytes(), now()),
             "{:?}",
-            told.headers
+            request.headers
         );
-        assert!(told.headers["user-agent"].starts_with("fled/"));
-        let [id, sent, signature] = told.headers();
-        let other = format!("{} ", told.body);
+        assert!(request.headers["user-agent"].starts_with("fled/"));
+        let [id, sent, signature] = request.headers();
+        let other = format!("{} ", request.body);
         for (headers, body) in [
             ([id, sent, signature], &other),
-            (["msg_other", sent, signature], &told.body),
-            ([id, "1", signature], &told.body),
-            ([id, sent, "v1,AAAA"], &told.body),
+            (["msg_other", sent, signature], &request.body),
+            ([id, "1", signature], &request.body),
+            ([id, sent, "v1,AAAA"], &request.body),
         ] {
             assert!(!genuine::genuine(&secret, headers, body.as_bytes(), now()));
         }
-        let event = told.json();
+        let event = request.json();
         assert_eq!(event["data"]["job_id"], job.as_str());
         assert!(event["timestamp"].as_str().is_some_and(|time| time.ends_with('Z')));
         if event["type"] == "round.finished" {
@@ -155,11 +155,11 @@ fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
 #[test]
 fn a_failed_delivery_is_retried_even_after_a_restart() {
     let mut server = server();
-    let (url, told) = listener(&[500, 500, 200]);
+    let (url, requests) = listener(&[500, 500, 200]);
     let (id, _) = hook(&server, &url, None);
     let test = format!("/v1/webhooks/{id}/test");
     server.post_json(&test, &json!({}), &[]).expect(202);
-    let first = told.recv_timeout(PATIENCE).expect("told");
+    let first = requests.recv_timeout(PATIENCE).expect("told");
     let tried = || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["answer"].is_string().then_some(delivery)
@@ -168,14 +168,14 @@ fn a_failed_delivery_is_retried_even_after_a_restart() {
     assert!(delivery["delivered_at"].is_null(), "{delivery}");
     server.kill();
     server.restart_with(&[("FLED_FAKE_INNER", "1")]);
-    let second = told.recv_timeout(PATIENCE).expect("told again");
+    let second = requests.recv_timeout(PATIENCE).expect("told again");
     assert_eq!(first.headers["webhook-id"], second.headers["webhook-id"]);
     assert_eq!(first.body, second.body);
     // A manual redelivery is sent at once, whatever the outcome before.
     let name = first.headers["webhook-id"].clone();
     let path = format!("/v1/webhooks/{id}/deliveries/{name}/redeliver");
     server.post_json(&path, &json!({}), &[]).expect(202);
-    told.recv_timeout(PATIENCE).expect("told at once");
+    requests.recv_timeout(PATIENCE).expect("told at once");
     until("it arrived", || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["delivered_at"].is_string().then_some(())
@@ -185,10 +185,10 @@ fn a_failed_delivery_is_retried_even_after_a_restart() {
 #[test]
 fn a_gone_endpoint_gets_no_more_deliveries() {
     let server = server();
-    let (url, told) = listener(&[410]);
+    let (url, requests) = listener(&[410]);
     let (id, _) = hook(&server, &url, Some(&["job.queued"]));
     server.job("");
-    told.recv_timeout(PATIENCE).expect("told");
+    requests.recv_timeout(PATIENCE).expect("told");
     until("it is gone", || {
         let hooks = server.get("/v1/webhooks", &[]).expect(200).json();
         hooks["webhooks"][0]["gone_at"].is_string().then_some(())
@@ -205,9 +205,9 @@ fn a_gone_endpoint_gets_no_more_deliveries() {
 #[test]
 fn inner_networks_and_invalid_webhooks_are_refused() {
     let mut server = server();
-    let (url, told) = listener(&[200]);
+    let (url, requests) = listener(&[200]);
     let (id, _) = hook(&server, &url, None);
-    // As a name that resolves to an inner address only after the webhook was made.
+    // A name that resolves to an inner address only after the webhook was created.
     server.restart();
     let test = format!("/v1/webhooks/{id}/test");
     server.post_json(&test, &json!({}), &[]).expect(202);
@@ -216,7 +216,7 @@ fn inner_networks_and_invalid_webhooks_are_refused() {
         delivery["answer"].as_str().map(str::to_owned)
     });
     assert!(answer.contains("internal network"), "{answer}");
-    assert!(told.try_recv().is_err(), "nothing came");
+    assert!(requests.try_recv().is_err(), "nothing came");
     for (wanted, at) in [
         (json!({ "url": "file:///etc/passwd" }), "/url"),
         (json!({ "url": url }), "/url"),
@@ -238,11 +238,11 @@ fn inner_networks_and_invalid_webhooks_are_refused() {
 #[test]
 fn a_redirect_is_a_failure_and_not_followed() {
     let server = server();
-    let (url, told) = listener(&[302]);
+    let (url, requests) = listener(&[302]);
     let (id, _) = hook(&server, &url, None);
     let test = format!("/v1/webhooks/{id}/test");
     server.post_json(&test, &json!({}), &[]).expect(202);
-    told.recv_timeout(PATIENCE).expect("told");
+    requests.recv_timeout(PATIENCE).expect("told");
     let delivery = until("the attempt is noted", || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["answer"].is_string().then_some(delivery)
@@ -258,12 +258,12 @@ fn a_silent_endpoint_does_not_delay_other_webhooks() {
     let silent = TcpListener::bind("127.0.0.1:0").expect("bound");
     let address = silent.local_addr().expect("an address");
     let (slow, _) = hook(&server, &format!("http://{address}/"), Some(&["job.queued"]));
-    let (url, told) = listener(&[200]);
+    let (url, requests) = listener(&[200]);
     hook(&server, &url, Some(&["job.queued"]));
     let begun = Instant::now();
     for _ in 0..3 {
         server.job("");
-        told.recv_timeout(PATIENCE).expect("told");
+        requests.recv_timeout(PATIENCE).expect("told");
     }
     assert!(begun.elapsed() < Duration::from_secs(14), "{:?}", begun.elapsed());
     assert_eq!(deliveries(&server, &slow).len(), 3);
@@ -272,7 +272,7 @@ fn a_silent_endpoint_does_not_delay_other_webhooks() {
 #[test]
 fn a_webhook_without_a_token_ends_with_the_first_token() {
     let server = server();
-    let (url, told) = listener(&[200]);
+    let (url, requests) = listener(&[200]);
     let (id, _) = hook(&server, &url, Some(&["job.queued"]));
     let (admin, _) = token_of("root", &server, "admin");
     let shown = [("authorization", &*admin)];
@@ -286,11 +286,11 @@ fn a_webhook_without_a_token_ends_with_the_first_token() {
     let body = json!({ "capture_id": capture["id"], "preset": "preview" });
     server.post_json("/v1/jobs", &body, &shown).expect(202);
     others.recv_timeout(PATIENCE).expect("told");
-    assert!(told.try_recv().is_err(), "the older one is told nothing");
+    assert!(requests.try_recv().is_err(), "the older one is told nothing");
     let path = format!("/v1/webhooks/{id}/deliveries");
     let list = server.get(&path, &shown).expect(200).json();
     assert_eq!(list["deliveries"], json!([]));
-    // A token that may not read gets no webhook.
+    // A token without read access gets no webhook.
     let reads_nothing = token_of("ben", &server, "jobs:write").0;
     let wanted = json!({ "url": url });
     let bens = [("authorization", &*reads_nothing)];
@@ -303,7 +303,7 @@ fn a_webhook_is_notified_only_of_its_owners_jobs() {
     let everything = "jobs:read,jobs:write,renders";
     let (ann, _) = token_of("ann", &server, everything);
     let (ben, _) = token_of("ben", &server, everything);
-    let (url, told) = listener(&[200]);
+    let (url, requests) = listener(&[200]);
     let wanted = json!({ "url": url, "types": ["job.queued"] });
     let anns = [("authorization", &*ann)];
     let bens = [("authorization", &*ben)];
@@ -318,9 +318,9 @@ fn a_webhook_is_notified_only_of_its_owners_jobs() {
         let body = json!({ "capture_id": capture["id"], "preset": "preview" });
         server.post_json("/v1/jobs", &body, &who).expect(202);
     }
-    let told = told.recv_timeout(PATIENCE).expect("told");
+    let request = requests.recv_timeout(PATIENCE).expect("told");
     let listed = server.get("/v1/jobs", &anns).expect(200).json();
-    assert_eq!(told.json()["data"]["job_id"], listed["jobs"][0]["id"]);
+    assert_eq!(request.json()["data"]["job_id"], listed["jobs"][0]["id"]);
     let deliveries = server.get(&path, &anns).expect(200).json();
     assert_eq!(deliveries["deliveries"].as_array().map(Vec::len), Some(1));
 }

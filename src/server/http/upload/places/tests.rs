@@ -1,4 +1,4 @@
-//! Where the files of an upload are put, and that they keep their names.
+//! Tests where an upload's files are stored, and that they keep their names.
 
 use std::fs;
 
@@ -38,7 +38,7 @@ fn no_name_leaves_its_folder_or_reaches_a_command_line() {
 }
 
 #[test]
-fn true_poses_are_not_taken_for_those_of_the_capture() {
+fn true_poses_are_not_mistaken_for_the_captures_own() {
     let mut places = Places::default();
     for (name, place) in [
         ("fern/sparse/0/images.txt", "sparse/images.txt"),
@@ -67,7 +67,7 @@ fn only_paths_from_a_root_or_a_drive_lose_their_folders() {
 }
 
 #[test]
-fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
+fn thousands_of_equal_names_cost_no_more_than_different_ones() {
     let mut places = Places::default();
     let start = std::time::Instant::now();
     let paths: HashSet<PathBuf> =
@@ -77,21 +77,21 @@ fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
     assert!(start.elapsed() < std::time::Duration::from_secs(2), "{:?}", start.elapsed());
 }
 
-/// A photograph with structure, another for each number.
+/// A photograph with structure, different for each number.
 fn photograph(number: usize) -> Vec<u8> {
     let value = |i: usize| ((i / 7 * 2_654_435_761 + number * 40_503) >> 5 & 255) as f32 / 900.0;
     let image: Image<Srgb> = Image::from_planar(80, 64, (0..3 * 80 * 64).map(value).collect());
     image.encode(EncodeFormat::Png).expect("encoded")
 }
 
-/// The camera of the photograph of this number.
+/// The camera of a photograph.
 fn camera(number: usize) -> Camera {
     let k = Intrinsics { width: 80, height: 64, fx: 70.0, fy: 70.0, cx: 40.0, cy: 32.0 };
     let eye = DVec3::new(number as f64, 0.25, -4.0);
     Camera::look_at(k, eye, DVec3::new(0.5, 0.0, 0.0), DVec3::Y)
 }
 
-/// Stores parts as an upload does: field, name and content.
+/// Stores parts like an upload: field, name and content.
 fn store(dir: &Path, parts: &[(&str, String, Vec<u8>)]) {
     let mut places = Places::default();
     for (part, name, bytes) in parts {
@@ -104,7 +104,7 @@ fn store(dir: &Path, parts: &[(&str, String, Vec<u8>)]) {
     }
 }
 
-/// The files of a model of these names, as parts of this field below this folder.
+/// The files of a model with these names, as parts of this field below this folder.
 fn model(
     part: &'static str,
     folder: &str,
@@ -125,7 +125,7 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
 }
 
 #[test]
-fn equal_names_without_folders_are_no_ones_poses() {
+fn ambiguous_names_without_folders_are_refused() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "0.png", "b.png", "0.png"].map(str::to_owned);
     let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
@@ -138,7 +138,7 @@ fn equal_names_without_folders_are_no_ones_poses() {
 }
 
 #[test]
-fn models_that_are_sent_as_poses_stay_apart() {
+fn models_sent_as_poses_stay_separate() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "b.png", "c.png", "d.png"].map(str::to_owned);
     let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
@@ -154,7 +154,7 @@ fn models_that_are_sent_as_poses_stay_apart() {
 }
 
 #[test]
-fn an_upload_of_before_opens_as_it_lies() {
+fn a_plain_upload_is_stored_under_its_own_names() {
     let dir = tempfile::tempdir().expect("a temporary folder");
     let names = ["a.png", "b.png", "c d.png"].map(str::to_owned);
     let parts = names.iter().enumerate().map(|(i, n)| ("images", n.clone(), photograph(i)));
@@ -170,7 +170,7 @@ fn an_upload_of_before_opens_as_it_lies() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
-    /// Whatever is sent under whatever paths, each photograph has its own pose.
+    /// Whatever the files and their paths, each photograph has its own pose.
     #[test]
     fn every_photograph_of_an_upload_has_its_own_pose(
         paths in prop::collection::hash_set(

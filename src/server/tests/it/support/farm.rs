@@ -78,7 +78,7 @@ impl Farm {
         }
     }
 
-    /// With a bucket for its files.
+    /// With a bucket for the files.
     pub fn with_bucket() -> Self {
         let bucket = Some(S3::start());
         Self { bucket, ..Self::new() }
@@ -125,8 +125,8 @@ impl Farm {
             ("FLED_FAKE_WORKERS", "1"),
             ("FLED_FAKE_ABOUT", about.as_str()),
         ];
-        let told: Vec<_> = worker.iter().chain(more).copied().collect();
-        self.start_by(by, name, &told).0
+        let variables: Vec<_> = worker.iter().chain(more).copied().collect();
+        self.start_by(by, name, &variables).0
     }
 }
 
@@ -139,24 +139,24 @@ pub fn begin(root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String
 fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
     let folder = root.join(name);
     std::fs::create_dir_all(&folder).expect("a folder");
-    let told = folder.join("address");
-    let _ = std::fs::remove_file(&told);
+    let address_file = folder.join("address");
+    let _ = std::fs::remove_file(&address_file);
     let mut words = by.iter().copied().chain([PROGRAM]);
     let child = Command::new(words.next().unwrap_or(PROGRAM))
         .args(words)
         .arg("serve")
         .arg(folder.join("data"))
-        .arg(&told)
+        .arg(&address_file)
         .env("FLED_MODELS", folder.join("models"))
         .envs(more.iter().copied())
         .spawn()
         .expect("starts");
     let begun = Instant::now();
-    while !told.is_file() {
+    while !address_file.is_file() {
         assert!(begun.elapsed() < PATIENCE, "{name} does not start");
         sleep(Duration::from_millis(10));
     }
-    let address = std::fs::read_to_string(&told).expect("told");
+    let address = std::fs::read_to_string(&address_file).expect("told");
     (Machine { folder, child }, format!("http://{address}"))
 }
 
@@ -219,7 +219,7 @@ pub fn check(events: &Events) {
     assert_eq!(state, "succeeded");
 }
 
-/// Waits until a job is in its middle.
+/// Waits until a job is halfway.
 pub fn in_the_middle(api: &Client, job: &str) {
     api.wait(job, "is in its middle", |shown| {
         shown["state"] == "running" && shown["progress"].as_f64().is_some_and(|done| done > 0.3)

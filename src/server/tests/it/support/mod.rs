@@ -48,7 +48,7 @@ impl Server {
         Self::start_with(&[])
     }
 
-    /// With limits that `fled-fake` reads from its environment.
+    /// With limits, which `fled-fake` reads from its environment.
     pub fn start_with(limits: &[(&str, &str)]) -> Self {
         let data = tempfile::tempdir().expect("temporary directory");
         let child = spawn(data.path(), limits);

@@ -65,8 +65,8 @@ impl<'a> Tus<'a> {
     /// The offset of an upload.
     #[track_caller]
     pub fn offset(&self, path: &str) -> usize {
-        let told = self.head(path).expect(200);
-        told.header("upload-offset").parse().expect("a number")
+        let reply = self.head(path).expect(200);
+        reply.header("upload-offset").parse().expect("a number")
     }
 
     /// Sends a complete upload in two pieces, and returns its id.
