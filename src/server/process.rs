@@ -114,8 +114,8 @@ impl Group {
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
         }
         for (name, _) in std::env::vars_os() {
-            let told = name.to_string_lossy();
-            if SECRETS.iter().any(|secret| told.starts_with(secret)) {
+            let text = name.to_string_lossy();
+            if SECRETS.iter().any(|secret| text.starts_with(secret)) {
                 command.env_remove(name);
             }
         }

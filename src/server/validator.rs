@@ -155,8 +155,8 @@ impl Conversation<'_> {
     /// Handles a reply; returns the result if it was the last.
     async fn take(&mut self, reply: AssessReply) -> Result<Option<Seen>, AssessError> {
         match reply {
-            AssessReply::Filmed(told) => {
-                self.seen.filmed = Some(told);
+            AssessReply::Filmed(report) => {
+                self.seen.filmed = Some(report);
                 self.turn = None;
             }
             AssessReply::NotFilmed(fault) => return Err(AssessError::Video(fault)),

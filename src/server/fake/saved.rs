@@ -30,9 +30,9 @@ impl Saved {
         let asked = Arc::new(AtomicBool::new(false));
         let raised = asked.clone();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
-        let mut told = runtime.block_on(async { signal(SignalKind::terminate()) })?;
+        let mut signals = runtime.block_on(async { signal(SignalKind::terminate()) })?;
         spawn(move || {
-            runtime.block_on(told.recv());
+            runtime.block_on(signals.recv());
             raised.store(true, Ordering::Relaxed);
         });
         let takes = std::env::var("FLED_FAKE_SAVING_MS").unwrap_or_else(|_| "0".to_owned());

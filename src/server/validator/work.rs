@@ -26,7 +26,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
     limit(request.memory)?;
     if let Some(video) = &request.video {
         match film(video, request.room) {
-            Ok(told) => say(&AssessReply::Filmed(told))?,
+            Ok(report) => say(&AssessReply::Filmed(report))?,
             Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
         }
     }

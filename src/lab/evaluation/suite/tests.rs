@@ -180,8 +180,8 @@ fn a_run_whose_inputs_changed_is_not_recorded() {
             None
         };
         let (outcome, said) = pretended.done(Some(swaps));
-        let told = outcome.expect_err("changed").to_string();
-        assert!(told.contains("changed while a run was made of it"), "{told}");
+        let message = outcome.expect_err("changed").to_string();
+        assert!(message.contains("changed while a run was made of it"), "{message}");
         assert_eq!(said.len(), 1);
         fs::write(&path, "another").expect("file");
         let (finished, _) = pretended.done(None);
