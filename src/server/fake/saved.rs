@@ -1,4 +1,4 @@
-//! Checkpoints of a fake training: one at a fixed step, and one when it is asked to stop.
+//! Checkpoints of a fake training: one at a fixed step, and one when the process is asked to stop.
 
 use std::error::Error;
 use std::fs;
@@ -13,7 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::protocol::tell;
 
-/// The step after which the only unrequested checkpoint is made.
+/// The step after which the only unrequested checkpoint is saved.
 const BY_THE_CLOCK: u64 = 2;
 
 /// The checkpoint of a training.
