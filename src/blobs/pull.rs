@@ -113,7 +113,7 @@ async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
     {
         let there = file.clone();
         let blob = match blocking(move || hash_file(&there)).await {
-            // It will be replaced anyway.
+            // The file will be replaced anyway.
             Err(BlobError::Changed(_)) => None,
             Err(error) if error.is_gone() => None,
             blob => Some(blob?),

@@ -1,4 +1,4 @@
-//! Helpers of all tests of this crate.
+//! Helpers for all tests of this crate.
 
 mod blobs;
 mod damage;

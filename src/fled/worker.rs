@@ -31,7 +31,7 @@ pub struct Args {
     models: tools::ModelFolder,
 }
 
-/// Runs jobs until SIGINT or SIGTERM; running jobs then go back to the queue with their progress.
+/// Runs jobs until SIGINT or SIGTERM; running jobs are then queued again with their progress.
 ///
 /// # Errors
 /// [`Failure`] if the data directory, the database or the blob store cannot be used.
@@ -69,7 +69,7 @@ pub fn about(adapter: &str, jobs: usize) -> About {
     }
 }
 
-/// This machine's memory in bytes, if it is known.
+/// This machine's memory in bytes, if known.
 fn memory() -> Option<u64> {
     let memory = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = memory.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;

@@ -1,4 +1,4 @@
-//! `fled fetch`: downloads a job's files, each complete and verified against its digest.
+//! `fled fetch`: downloads a job's files, each of them complete and verified against its digest.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -98,7 +98,8 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
     part.push(".part");
     let part = PathBuf::from(part);
     let address = format!("/v1/jobs/{job}/artifacts/{}", escaped(&file.name));
-    // The remains of an earlier download may be of another result: then fetch all of it, once.
+    // The remains of an earlier download may belong to another result: then download the whole
+    // file, once.
     for _ in 0..2 {
         remote.persist(|| go_on(remote, &address, file.bytes, &part))?;
         if digest(&part).map_err(at(&part))?.as_deref() == Some(&file.sha256) {

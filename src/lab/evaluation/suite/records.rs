@@ -1,5 +1,5 @@
-//! Records of finished work: a file per run and per evaluation, named by the hash of all that
-//! determines it.
+//! Records of finished work: a file per run and per evaluation, named by the hash of all its
+//! inputs.
 //!
 //! ```text
 //! runs/NAME.json  runs/NAME/  evaluations/NAME.json  evaluations/NAME/  poses/PROGRAM/

@@ -55,7 +55,7 @@ fn every_measure_and_camera_reads_its_own_score() {
 }
 
 /// The values are 1 to 10: the resamples' means have mean 5.5 and the standard error of the values
-/// themselves, 2.8723 / sqrt(10), and 95 % of them lie within 1.96 of it.
+/// themselves, 2.8723 / sqrt(10), and 95 % of them lie within 1.96 standard errors of it.
 #[test]
 fn the_interval_is_that_of_the_mean() {
     let values: Vec<f64> = (1..=10).map(f64::from).collect();
