@@ -1,4 +1,4 @@
-//! Child processes in groups of their own, read line by line.
+//! Child processes in separate groups, read line by line.
 //!
 //! A group is signalled only while its leader has not been reaped: afterwards the kernel may reuse
 //! its number for another group.

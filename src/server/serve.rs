@@ -66,7 +66,7 @@ impl Server {
         Ok(Self { address: Some(address), app, turns, tasks })
     }
 
-    /// Opens the data directory and the database and runs jobs, without an API of its own.
+    /// Opens the data directory and the database and runs jobs, without an API.
     ///
     /// # Errors
     /// When one of them is in use or unusable.

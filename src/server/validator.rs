@@ -113,7 +113,7 @@ impl Validators {
             begun: Vec::new(),
             seen: Seen::default(),
         }
-        .hold()
+        .converse()
         .await
     }
 }
@@ -132,7 +132,7 @@ struct Conversation<'a> {
 }
 
 impl Conversation<'_> {
-    async fn hold(mut self) -> Result<Seen, AssessError> {
+    async fn converse(mut self) -> Result<Seen, AssessError> {
         loop {
             let patience = self.validators.limits.photograph;
             let oldest = self.begun.iter().map(|(_, since)| *since + patience).min();

@@ -51,7 +51,7 @@ pub async fn keep_telling(app: Arc<App>) {
         tokio::select! {
             () = tokio::time::sleep(wait) => {}
             _ = changes.changed() => {}
-            Some(()) = in_flight.one_ends() => {}
+            Some(()) = in_flight.next_ended() => {}
             // Deliveries in flight are sent again at the next start.
             () = app.shutdown.cancelled() => return,
         }
@@ -82,7 +82,7 @@ impl InFlight {
     }
 
     /// Waits until a task returns or panics; `None` if there is none. Cancel-safe.
-    async fn one_ends(&mut self) -> Option<()> {
+    async fn next_ended(&mut self) -> Option<()> {
         let ended = self.tasks.join_next_with_id().await?;
         let id = ended.as_ref().map_or_else(JoinError::id, |(id, ())| *id);
         let webhook = self.webhooks.remove(&id);
@@ -205,7 +205,7 @@ mod tests {
         let minute = Duration::from_secs(60);
         for what in ["the delivery", "the pause"] {
             assert_eq!(in_flight.busy().len(), 2, "before {what} ends");
-            let ended = tokio::time::timeout(minute, in_flight.one_ends()).await;
+            let ended = tokio::time::timeout(minute, in_flight.next_ended()).await;
             assert_eq!(ended, Ok(Some(())), "{what}");
         }
         assert_eq!(in_flight.busy(), ["a"]);

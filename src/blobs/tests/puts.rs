@@ -43,7 +43,7 @@ async fn a_blob_near_its_deletion_is_sent_again() {
 }
 
 #[tokio::test]
-async fn an_object_of_another_size_is_replaced() {
+async fn an_object_of_the_wrong_size_is_replaced() {
     let (dir, blobs) = directory();
     let blob = blobs.put_bytes(b"right".to_vec()).await.unwrap();
     fs::write(object(dir.path(), &blob), "wrong one").unwrap();

@@ -1,4 +1,4 @@
-//! A multipart body of files, read as it is sent.
+//! A multipart body of files, read while it is sent.
 
 use std::fs::File;
 use std::io::{self, Cursor, Read};

@@ -95,13 +95,13 @@ impl Program {
 
 /// Waits for the end of a child, and terminates it on cancellation.
 fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
-    let mut asked = false;
+    let mut signalled = false;
     loop {
         if let Some(status) = child.try_wait()? {
             return Ok(status);
         }
-        if cancel.check().is_err() && !asked {
-            asked = true;
+        if cancel.check().is_err() && !signalled {
+            signalled = true;
             if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
                 // The child may just have ended.
                 let _ = kill_process(pid, Signal::TERM);

@@ -1,4 +1,4 @@
-//! The janitor's rules applied by hand, with a report.
+//! The janitor's rules, applied manually, with a report.
 //!
 //! Beside a running server, it leaves alone all that only the server knows in memory, and all that
 //! has changed within the last hour.

@@ -160,14 +160,14 @@ mod tests {
         let mut order = Vec::new();
         while !waiting.is_empty() {
             drop(turn);
-            let mut came = None;
+            let mut ready = None;
             for (index, (_, future)) in waiting.iter_mut().enumerate() {
                 if let Poll::Ready(next) = poll(future.as_mut()) {
-                    assert!(came.is_none(), "two have a turn");
-                    came = Some((index, next.expect("a turn")));
+                    assert!(ready.is_none(), "two have a turn");
+                    ready = Some((index, next.expect("a turn")));
                 }
             }
-            let (index, next) = came.expect("somebody has a turn");
+            let (index, next) = ready.expect("somebody has a turn");
             order.push(waiting.remove(index).0);
             turn = next;
         }

@@ -74,7 +74,7 @@ mod tests {
     use crate::store::tests::{create, keep_capture};
 
     #[tokio::test]
-    async fn videos_of_an_earlier_build_are_jobs_after_a_start() {
+    async fn a_start_converts_videos_of_an_earlier_build_to_jobs() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         keep_capture(&store, "c", None, &[]).await;

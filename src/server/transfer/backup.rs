@@ -2,8 +2,8 @@
 //!
 //! The database is copied first, as a snapshot, then the files that it names. Captures never
 //! change, and neither do finished jobs. A job that is queued or running in the snapshot, or is
-//! retried during the copy, has no files in the backup: it starts afresh there. Uploads that are
-//! not yet part of a capture are not copied.
+//! retried during the copy, has no files in the backup: it starts from scratch there. Uploads that
+//! are not yet part of a capture are not copied.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
@@ -25,7 +25,7 @@ pub struct Backup {
     pub captures: usize,
     /// Jobs with their results.
     pub jobs: usize,
-    /// Jobs that start afresh in the backup.
+    /// Jobs that start from scratch in the backup.
     pub anew: usize,
     /// Bytes of files, without the database.
     pub bytes: u64,

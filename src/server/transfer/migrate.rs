@@ -35,7 +35,7 @@ pub struct Migrated {
 /// # Errors
 /// [`ServerError::DataInUse`] while a server uses the directory, [`ServerError::NotMoved`] if the
 /// database or the blob store is not empty or files are missing; when something cannot be read or
-/// written. The database has no rows then.
+/// written. The database then has no rows.
 pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrated> {
     if database.starts_with("sqlite:") {
         let words = "--db names an SQLite file; use postgres://USER:PASSWORD@HOST/NAME";

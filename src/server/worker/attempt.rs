@@ -95,7 +95,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     if let Ok(End::Stop(Settlement::Released)) = outcome {
         // Another worker continues from its files: let it save the current step.
         group.stop(app.limits.draining).await;
-        attempt.hear_out(&mut group).await;
+        attempt.drain_output(&mut group).await;
     } else {
         group.stop(app.limits.grace).await;
     }
@@ -257,7 +257,7 @@ impl Attempt<'_> {
     }
 
     /// Logs the remaining output of a stopped process; its events no longer count.
-    async fn hear_out(&mut self, group: &mut Group) {
+    async fn drain_output(&mut self, group: &mut Group) {
         while let Ok(Some(line)) = tokio::time::timeout(DRAIN, group.next_line()).await {
             let text = match line {
                 Line::Error(text) => text,

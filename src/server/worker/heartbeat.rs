@@ -1,4 +1,4 @@
-//! A worker's heartbeat. It runs in a task of its own, so that neither a slow blob store nor a full
+//! A worker's heartbeat. It runs in a separate task, so that neither a slow blob store nor a full
 //! pipe delays the extension of the lease.
 
 use tokio::sync::mpsc;
@@ -57,30 +57,30 @@ async fn heartbeat(
 ) {
     let mut ticks = interval(limits.heartbeat);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut heard = Instant::now();
+    let mut extended_at = Instant::now();
     loop {
         ticks.tick().await;
-        let asked = Instant::now();
-        let left = limits.unheard.saturating_sub(heard.elapsed());
+        let requested_at = Instant::now();
+        let left = limits.unheard.saturating_sub(extended_at.elapsed());
         let extended = store.heartbeat(&lease, limits.lease_ms());
         let answer = tokio::time::timeout(left, extended).await;
         let pulse = match answer {
             Ok(Ok(false)) => {
                 // The lease counts from before the request to extend it.
-                heard = asked;
+                extended_at = requested_at;
                 if let Some(watcher) = watcher {
                     watcher(Failpoint::Extended);
                 }
                 continue;
             }
             Ok(Ok(true)) => {
-                heard = asked;
+                extended_at = requested_at;
                 // One message suffices; the lease is kept until the attempt has ended.
                 let _ = sender.try_send(Pulse::Cancel);
                 continue;
             }
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
-            Ok(Err(error)) if heard.elapsed() < limits.unheard => {
+            Ok(Err(error)) if extended_at.elapsed() < limits.unheard => {
                 tracing::warn!(%error, job = lease.job, "cannot extend a lease");
                 // Sooner than the next regular heartbeat, which may be the last.
                 ticks.reset_after(limits.heartbeat / 10);

@@ -40,7 +40,7 @@ pub struct Suite {
     pub captures: Vec<CaptureEntry>,
     /// The configurations; the first is the baseline of the others.
     pub configurations: Vec<Configuration>,
-    /// The share of a ceiling that is to be reported.
+    /// The share of a ceiling to report.
     pub gain: Option<Gain>,
 }
 

@@ -50,7 +50,7 @@ fn every_measure_and_camera_reads_its_own_score() {
     assert_eq!(Measure::PsnrCcSeen.of(&scores), Some(21.0));
     scores.seen = None;
     assert_eq!(Measure::PsnrCcSeen.of(&scores), None);
-    // The mapped scores of a made-up view are 5 dB lower.
+    // The mapped scores of a synthetic view are 5 dB lower.
     assert_eq!(Cameras::Mapped.of(&view("a", 20.0)).all.psnr_cc_db, 15.0);
 }
 

@@ -130,8 +130,8 @@ fn pretend(words: &[&str]) {
         return;
     }
     let psnr = fs::read_to_string(Path::new(words[1]).join("psnr")).expect("a run");
-    let calls = evaluation(&[("a", psnr.parse().expect("dB"))]);
-    let text = serde_json::to_string(&calls).expect("JSON");
+    let judged = evaluation(&[("a", psnr.parse().expect("dB"))]);
+    let text = serde_json::to_string(&judged).expect("JSON");
     // Fails where a test has blocked the path.
     let _ = fs::write(out.join("evaluation.json"), text);
 }
