@@ -40,7 +40,7 @@ fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
     })
 }
 
-/// PSNR between two pictures in detail finer than 3 px, dB.
+/// PSNR over the part of the difference of two pictures that is finer than 3 px, dB.
 fn fine(image: &Image, truth: &Image, mask: &Mask) -> f64 {
     let difference = minus(image, truth);
     let fine = minus(&difference, &blurred(&difference));

@@ -1,6 +1,6 @@
 //! A server with fake child processes, for the tests of the service.
 //!
-//! `serve DATA ADDRESS_FILE` starts it; the other verbs are its child processes. The option
+//! `serve DATA ADDRESS_FILE` starts it; the other verbs run as its child processes. The option
 //! `adapter`, the only free text that the service does not interpret, selects the behaviour of a
 //! job.
 

@@ -247,8 +247,8 @@ impl Attempt<'_> {
                     None => return self.timed_out("ran", limits.wall).await,
                 },
             };
-            // Events that end the attempt are handled however slow the database or the blob store
-            // is.
+            // Events that end the attempt are handled even if the database or the blob store is
+            // slow.
             tokio::select! {
                 done = self.follow(due) => done?,
                 end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
