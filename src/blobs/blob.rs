@@ -69,7 +69,7 @@ impl Stamp {
 /// Hashes the current content of a file. Blocks.
 ///
 /// # Errors
-/// [`BlobError::Changed`] if it was written to meanwhile; [`BlobError::Io`].
+/// [`BlobError::Changed`] if the file was written to meanwhile; [`BlobError::Io`].
 pub(crate) fn hash_file(path: &Path) -> Result<Blob> {
     let mut file = File::open(path).map_err(BlobError::io(path))?;
     let before = file.metadata().map_err(BlobError::io(path))?;

@@ -50,7 +50,8 @@ impl Blobs {
     /// # Errors
     /// [`BlobError::Missing`] if the blob does not exist, [`BlobError::Damaged`] if its content
     /// does not match its digest, [`BlobError::BrokenOff`] if every transfer breaks off,
-    /// [`BlobError::Store`], [`BlobError::Digest`], or [`BlobError::Io`] if it cannot be written.
+    /// [`BlobError::Store`], [`BlobError::Digest`], or [`BlobError::Io`] if the file cannot be
+    /// written.
     pub(crate) async fn fetch(&self, blob: &Blob, to: &Path) -> Result<Stamp> {
         expect_digest(&blob.digest)?;
         let (mut broken, mut damaged) = (0, 0);
@@ -163,7 +164,7 @@ impl Arriving {
         Ok(Self { file, path, renamed: false, hasher: blake3::Hasher::new(), bytes: 0, limit })
     }
 
-    /// Writes the buffer, and returns it emptied.
+    /// Writes the buffer and returns it empty.
     fn take(mut self, mut buffer: Vec<u8>) -> Result<(Self, Vec<u8>)> {
         self.write(&buffer)?;
         buffer.clear();

@@ -1,5 +1,5 @@
 //! Content-addressed storage of files, in a directory that all machines share or in an S3 bucket. A
-//! database, of which this crate knows nothing, records what each blob is for. The files of a
+//! separate database, unknown to this crate, records the purpose of each blob. The files of a
 //! machine are a cache of both, which [`push`] and [`pull`] synchronise.
 
 mod blob;

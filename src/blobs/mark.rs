@@ -5,7 +5,7 @@ use object_store::{ObjectStoreExt, PutPayload};
 use crate::error::Result;
 use crate::store::Blobs;
 
-/// Maximum bytes read; longer marks are not ours.
+/// Maximum bytes read; a longer mark is not one of ours.
 const LONGEST: usize = 200;
 
 impl Blobs {

@@ -73,9 +73,9 @@ pub async fn pull(
     let absent: Vec<Absent> = placed.into_iter().filter(|one| !is_known(one)).collect();
 
     let mut pulled = Pulled::default();
-    let bringing = absent.into_iter().map(|one| bring(blobs.clone(), one));
-    let mut bringing = futures::stream::iter(bringing).buffer_unordered(AT_ONCE);
-    while let Some(present) = bringing.next().await {
+    let fetches = absent.into_iter().map(|one| fetch_one(blobs.clone(), one));
+    let mut fetches = futures::stream::iter(fetches).buffer_unordered(AT_ONCE);
+    while let Some(present) = fetches.next().await {
         let Present { kept: Kept { path, blob }, stamp, fetched } = present?;
         if fetched {
             pulled.files += 1;
@@ -106,14 +106,14 @@ fn placed(folder: &Path, kept: Vec<Kept>) -> Result<Vec<Absent>> {
     placed.collect()
 }
 
-async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
+async fn fetch_one(blobs: Blobs, absent: Absent) -> Result<Present> {
     let Absent { kept, folder, file, stamp } = absent;
     if let Some(stamp) = stamp
         && stamp.bytes == kept.blob.bytes
     {
         let there = file.clone();
         let blob = match blocking(move || hash_file(&there)).await {
-            // It will be replaced anyway.
+            // The file will be replaced anyway.
             Err(BlobError::Changed(_)) => None,
             Err(error) if error.is_gone() => None,
             blob => Some(blob?),

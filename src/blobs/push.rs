@@ -19,7 +19,7 @@ pub struct Pushed {
     /// Known and wanted paths whose files no longer exist.
     pub gone: Vec<String>,
     /// Files that changed or disappeared during the push, or whose names are not UTF-8. Their state
-    /// is left open this time.
+    /// stays undetermined this time.
     pub skipped: usize,
 }
 
@@ -45,7 +45,7 @@ struct Looked {
 /// # Errors
 /// [`BlobError::Io`] if the folder cannot be read, or does not exist although it has known files:
 /// an empty disk must not count as a deletion of everything. [`BlobError::Store`] if a file cannot
-/// be put. The next call reuses what was put until then.
+/// be put. The next call reuses all that was put until then.
 pub async fn push(
     blobs: &Blobs,
     folder: &Path,
@@ -153,7 +153,7 @@ async fn look_into(blobs: &Blobs, candidate: &Candidate) -> Result<(Blob, bool)>
         }
     }
     let blob = blobs.put(&candidate.file).await?;
-    // It may have changed back since it was hashed above.
+    // The content may have changed back since it was hashed above.
     let put = candidate.known.as_ref() != Some(&blob);
     Ok((blob, put))
 }

@@ -27,12 +27,13 @@ const PARTS: u64 = 9_000;
 const FRESH: Duration = Duration::from_secs(12 * 60 * 60);
 
 impl Blobs {
-    /// Stores the current content of a file. Sends nothing if the store has had it for less than
-    /// twelve hours. Reads a large file twice, and holds little of it in memory.
+    /// Stores the current content of a file. Sends nothing if the store received it less than
+    /// twelve hours ago. Reads a large file twice, and holds little of it in memory.
     ///
     /// # Errors
-    /// [`BlobError::Changed`] if it was written to meanwhile, in which case nothing is stored;
-    /// [`BlobError::Io`] if it cannot be read or is no regular file; [`BlobError::Store`].
+    /// [`BlobError::Changed`] if the file was written to meanwhile, in which case nothing is
+    /// stored; [`BlobError::Io`] if it cannot be read or is not a regular file;
+    /// [`BlobError::Store`].
     pub async fn put(&self, path: &Path) -> Result<Blob> {
         let file = path.to_owned();
         let bytes = blocking(move || length(&file)).await?;
@@ -138,7 +139,7 @@ impl Blobs {
                 break;
             }
             let sending = upload.put_part(PutPayload::from(part));
-            // Tasks, because they must progress while this one waits for room.
+            // In separate tasks: they must progress while this one waits for room.
             parts.spawn(async move {
                 let sent = sending.await;
                 drop(room);
@@ -165,7 +166,8 @@ impl Blobs {
     }
 }
 
-/// Returns the size of a regular file. Reading anything else, such as a pipe, could go on forever.
+/// Returns the size of a regular file. Reading any other file, such as a pipe, could continue
+/// forever.
 fn length(path: &Path) -> Result<u64> {
     let metadata = std::fs::metadata(path).map_err(BlobError::io(path))?;
     if !metadata.is_file() {
@@ -191,7 +193,7 @@ fn read_small(path: &Path) -> Result<(Vec<u8>, Blob)> {
     Ok((bytes, blob))
 }
 
-/// A source that is read in parts, with the hash of what was read so far.
+/// A source that is read in parts, with the hash of the part read so far.
 struct Reading<R> {
     source: R,
     path: PathBuf,

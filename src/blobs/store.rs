@@ -33,7 +33,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// How long a probe may take.
 const PROBE: Duration = Duration::from_secs(10);
 
-/// MiB that uploads hold in memory and have in flight. A slow line must carry all of it within
+/// MiB that uploads hold in memory and have in flight. A slow line must carry them all within
 /// [`SILENCE`].
 pub(crate) const UPLOADING_MIB: u32 = 32;
 
@@ -152,11 +152,11 @@ impl Blobs {
         &self.shared.location
     }
 
-    /// Writes, reads back and deletes a small probe to check that blobs can be stored. Takes ten
-    /// seconds at most.
+    /// Writes, reads back and deletes a small probe to check that blobs can be stored. Takes at
+    /// most ten seconds.
     ///
     /// # Errors
-    /// [`BlobError::NotReady`] or [`BlobError::Store`] if they cannot.
+    /// [`BlobError::NotReady`] or [`BlobError::Store`] if they cannot be stored.
     pub async fn check(&self) -> Result<()> {
         tokio::time::timeout(PROBE, self.probe()).await.unwrap_or_else(|_| {
             let detail = format!("no answer within {} s", PROBE.as_secs());
@@ -226,8 +226,8 @@ impl Blobs {
     }
 
     /// Removes a blob if it is still older than `age`, and returns whether it did. The check
-    /// protects blobs that were put again since they were listed. A moment remains between check
-    /// and removal, which code that names blobs must exclude itself.
+    /// protects blobs that were put again since they were listed. Code that names blobs must itself
+    /// exclude the short interval between check and removal.
     ///
     /// # Errors
     /// [`BlobError::Digest`] or [`BlobError::Store`].
@@ -240,7 +240,8 @@ impl Blobs {
     }
 
     /// Removes the remains of uploads to a directory that broke off more than `age` ago, and
-    /// returns how many files. In a bucket there is nothing to delete, see the head of this file.
+    /// returns the number of files. In a bucket there is nothing to delete; see the top of this
+    /// file.
     ///
     /// # Errors
     /// [`BlobError::Io`] if the directory cannot be read.
@@ -259,7 +260,7 @@ impl Blobs {
         self.shared.uploading.clone()
     }
 
-    /// The key of a blob; `digest` must be one.
+    /// The key of a blob; `digest` must be a valid digest.
     pub(crate) fn key(&self, digest: &str) -> Key {
         let folder = digest.get(..2).unwrap_or_default().to_owned();
         self.below("blobs").join(folder).join(digest.to_owned())
@@ -287,7 +288,7 @@ impl Blobs {
     }
 }
 
-/// A TLS client needs a chosen cryptography provider; fled's other clients use the same one.
+/// A TLS client needs a cryptography provider to be chosen; fled's other clients use the same one.
 fn choose_tls() {
     let _already_chosen = rustls::crypto::ring::default_provider().install_default();
 }
@@ -312,18 +313,19 @@ fn retries(patience: Duration) -> RetryConfig {
             max_backoff: Duration::from_secs(8),
             base: 3.0,
         },
-        // The waits are random and may all be short: the time limit ends them, not their number.
+        // The waits are random and may all be short: the time limit ends the retries, not their
+        // number.
         max_retries: 100,
         retry_timeout: patience,
     }
 }
 
 fn timeouts() -> ClientOptions {
-    // No limit for a whole request, which depends on the size of the blob.
+    // No limit for a whole request, whose time depends on the size of the blob.
     ClientOptions::new().with_timeout_disabled().with_read_timeout(SILENCE)
 }
 
-/// Removes old `<name>#<number>` files, as `object_store` names files before renaming them.
+/// Removes old `<name>#<number>` files: `object_store` uses such names before it renames files.
 fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
     let mut deleted = 0;
     for folder in entries(blobs)? {
@@ -332,7 +334,7 @@ fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
             let unfinished = name.split_once('#').is_some_and(|(digest, number)| {
                 is_digest(digest) && number.bytes().all(|byte| byte.is_ascii_digit())
             });
-            // If the file is just being renamed, it no longer exists and the rename is not
+            // If the file is just being renamed, it no longer exists, and the rename is not
             // disturbed.
             let old = || {
                 let written = path.metadata().and_then(|metadata| metadata.modified());

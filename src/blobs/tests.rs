@@ -1,4 +1,4 @@
-//! Helpers of all tests of this crate.
+//! Helpers for all tests of this crate.
 
 mod blobs;
 mod damage;
@@ -42,7 +42,7 @@ fn set_age(file: &Path, age: Duration) {
     file.set_modified(SystemTime::now() - age).unwrap();
 }
 
-/// All blobs older than `age`, whatever their digests begin with.
+/// All blobs older than `age`, with any digest.
 async fn older_than(blobs: &Blobs, age: Duration) -> Vec<Blob> {
     let mut old = Vec::new();
     for first in 0..=u8::MAX {

@@ -93,7 +93,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
     let cancel = tools::cancel_on_signals()?;
     let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-    // The job comes first, so that an error in a capture shows at once and not after minutes.
+    // The job runs first, so that an error in a capture shows at once and not after minutes.
     let job = args.capture.as_deref().map(|capture| run_job(args, capture, &cancel)).transpose()?;
     eprintln!("measuring on {}", device);
     let mut report = bench::run(&device, &options, &mut progress, &cancel)?;
@@ -120,7 +120,7 @@ fn print(table: &str) -> Result<(), Failure> {
 }
 
 /// Runs `fled run` in a temporary folder, and returns its times and its scene. Poses are not
-/// cached, as they are a stage like any other.
+/// cached: finding them is a stage like any other.
 fn run_job(
     args: &Args,
     capture: &Path,
@@ -140,7 +140,7 @@ fn run_job(
     let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
     let mut kit = tools::Kit::new(&places, &options, &capture)?;
     let outcome =
-        pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut tell_stage, cancel)?;
+        pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut print_stage, cancel)?;
     let seconds = begin.elapsed().as_secs_f64();
     let times =
         JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.device().peak_bytes());
@@ -148,7 +148,7 @@ fn run_job(
 }
 
 /// Prints each stage as it begins.
-fn tell_stage(event: &Event) {
+fn print_stage(event: &Event) {
     if let Event::StageStarted { stage, round } = event {
         eprintln!("  {} (round {round})", stage.name());
     }

@@ -1,4 +1,4 @@
-//! `fled doctor`: what this machine has and lacks.
+//! `fled doctor`: checks the requirements of this machine.
 
 use std::convert::Infallible;
 use std::io::Write;
@@ -122,8 +122,8 @@ fn checks(args: &Args, device: Result<Device, GpuError>) -> Vec<Check> {
     ]
 }
 
-/// The weights that find and match key points. A machine without them is not faulty: COLMAP has key
-/// points of its own.
+/// The weights that find and match key points. A machine without them is not faulty: COLMAP has its
+/// own key points.
 fn matcher(args: &Args) -> String {
     let state = Package::embedded().state(&args.tools.matcher_folders());
     state.unwrap_or_else(|error| {
@@ -131,12 +131,12 @@ fn matcher(args: &Args) -> String {
     })
 }
 
-/// The version of FFmpeg. A machine without it still reads photographs.
+/// The version of FFmpeg. A machine without it can still read photographs.
 fn ffmpeg(args: &Args) -> String {
-    let said = Command::new(&args.ffmpeg.program).arg("-version").output();
-    let first = said.map(|said| {
-        let said = String::from_utf8_lossy(&said.stdout).into_owned();
-        said.lines().next().unwrap_or("unknown version").to_owned()
+    let output = Command::new(&args.ffmpeg.program).arg("-version").output();
+    let first = output.map(|output| {
+        let output = String::from_utf8_lossy(&output.stdout).into_owned();
+        output.lines().next().unwrap_or("unknown version").to_owned()
     });
     first.unwrap_or_else(|error| {
         format!("none; videos can be neither read nor made (apt-get install ffmpeg): {error}")

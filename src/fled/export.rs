@@ -37,7 +37,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let temporary = output.with_added_extension("tmp");
     let file = File::create(&temporary).map_err(io(&temporary))?;
     if let Err(error) = prepared.write(&file) {
-        // Remove the incomplete file; failing to do so matters less than the first error.
+        // Remove the incomplete file; a failure to do so matters less than the first error.
         let _ = fs::remove_file(&temporary);
         return Err(error.into());
     }

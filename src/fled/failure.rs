@@ -21,7 +21,7 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// As it is told to programs.
+    /// The failure as an event for programs.
     pub fn event(&self) -> Event {
         Event::Failed {
             kind: self.kind.name().to_owned(),
@@ -30,7 +30,7 @@ impl Failure {
         }
     }
 
-    /// With the advice that fits the kind.
+    /// A failure with the advice that fits its kind.
     pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
         Self { kind, detail: detail.to_string(), hint: kind.hint().to_owned(), wrong_use: false }
     }

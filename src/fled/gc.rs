@@ -45,20 +45,20 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     };
     let (mut count, mut bytes) = (0, 0);
     let mut out = std::io::stdout();
-    let mut told = Ok(());
-    let mut tell = |gone: &fled_server::Gone| {
+    let mut printed = Ok(());
+    let mut report = |gone: &fled_server::Gone| {
         count += 1;
         bytes += gone.bytes;
         let size = megabytes(gone.bytes);
         let line = writeln!(out, "{size:>12}  {}  {}", gone.path.display(), gone.why);
-        told = line.and(std::mem::replace(&mut told, Ok(())));
+        printed = line.and(std::mem::replace(&mut printed, Ok(())));
     };
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     let done = runtime
-        .block_on(fled_server::gc(&args.data, &options, &mut tell))
+        .block_on(fled_server::gc(&args.data, &options, &mut report))
         .map_err(|error| Failure::new(ErrorKind::Io, error))?;
-    told.map_err(|error| Failure::new(ErrorKind::Io, error))?;
+    printed.map_err(|error| Failure::new(ErrorKind::Io, error))?;
     let verb = if args.dry_run { "would free" } else { "freed" };
     eprintln!(
         "{count} items: {verb} {}, and {} in the database",

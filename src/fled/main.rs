@@ -136,7 +136,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
         Command::AssessWorker => assess_worker::main(),
-        // Handled above: the program that it becomes has another parent.
+        // Handled above: the process that it becomes has another parent.
         Command::Guard { .. } => Ok(()),
     };
     match outcome {
@@ -145,8 +145,8 @@ fn main() -> ExitCode {
     }
 }
 
-/// Without a desktop session, the Mesa layer for device selection prints an error at every start.
-/// fled selects its device itself.
+/// Without a desktop session, Mesa's device selection layer prints an error at every start. fled
+/// selects its device itself.
 #[allow(unsafe_code)]
 fn silence_device_select() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {

@@ -27,7 +27,7 @@ pub struct Args {
 ///
 /// # Errors
 /// [`Failure`] if a server uses the data directory, the database or the blob store is not empty, or
-/// something cannot be read or written; the database has no rows then.
+/// something cannot be read or written; the database then has no rows.
 pub fn main(args: &Args) -> Result<(), Failure> {
     log();
     if !args.data.join("fled.db").is_file() {

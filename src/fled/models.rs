@@ -45,10 +45,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 
 /// Describes a network after it has passed its self-test as in a run.
 fn verdict(runtime: &Runtime, name: &str, folders: &[PathBuf]) -> Result<String, DeblurError> {
-    let (network, said) = Onnx::load(runtime, &Model::find(name, folders)?, 0)?;
+    let (network, note) = Onnx::load(runtime, &Model::find(name, folders)?, 0)?;
     let info = network.describe();
     let role = if info.channels == 6 { "guided" } else { "single" };
     let default = if name == BUILT_IN { "; built in, the default" } else { "" };
-    let said = said.map(|said| format!("; {said}")).unwrap_or_default();
-    Ok(format!("ok       {role} on {}, sha256 {}{default}{said}", info.provider, info.sha256))
+    let note = note.map(|note| format!("; {note}")).unwrap_or_default();
+    Ok(format!("ok       {role} on {}, sha256 {}{default}{note}", info.provider, info.sha256))
 }

@@ -1,4 +1,4 @@
-//! Progress of a run: a bar for people, JSON lines for programs, and `log.txt` for both.
+//! Progress of a run: a bar for users, JSON lines for programs, and `log.txt` for both.
 
 use std::fs::File;
 use std::io::Write;
@@ -56,7 +56,7 @@ pub fn overall_bar() -> ProgressBar {
     bar
 }
 
-/// Shows the share that is done and the time left, where it is known.
+/// Shows the finished share, and the time left if known.
 pub fn show_progress(bar: &ProgressBar, share: f64, seconds_left: Option<f64>) {
     bar.set_position((share * 1000.0) as u64);
     let left = seconds_left.and_then(|left| Duration::try_from_secs_f64(left).ok());
@@ -116,12 +116,12 @@ impl ProgressSink for Reporter {
 pub fn print(event: &Event) {
     if let Ok(line) = serde_json::to_string(event) {
         let mut out = std::io::stdout().lock();
-        // Nobody reads any more: the run is worth more than its reader.
+        // The reader may have closed the pipe: that must not end the run.
         let _ = writeln!(out, "{line}").and_then(|()| out.flush());
     }
 }
 
-/// A stage as it is told.
+/// The name of a stage in messages.
 pub fn name(stage: &str, round: u32) -> String {
     if round == 0 { stage.to_owned() } else { format!("round {round} {stage}") }
 }

@@ -1,7 +1,7 @@
 //! A client of the service, shared by `fled submit`, `watch`, `fetch`, `retry` and `cancel`.
 //!
-//! Connections break, so every request is repeated until it is answered. A request that took effect
-//! although its answer was lost counts as done.
+//! Connections break, so every request is repeated until it is answered. A request counts as done
+//! if it took effect but its answer was lost.
 
 pub mod cancel;
 pub mod fetch;
@@ -22,19 +22,19 @@ use ureq::{Agent, AsSendBody, Body};
 
 use crate::failure::{Failure, io};
 
-/// How long a connection may stall before it is lost.
+/// How long a connection may stall before it counts as lost.
 const STALL: Duration = Duration::from_secs(60);
-/// How long an answer may take: the service validates photographs and hashes files first.
+/// Maximum time for an answer: the service validates photographs and hashes files first.
 const ANSWER: Duration = Duration::from_secs(600);
-/// An attempt that moved more bytes than this made progress.
+/// An attempt has made progress if it moved more bytes than this.
 const MUCH: u64 = 1 << 20;
 /// Wait between the first two attempts.
 const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// Maximum wait between attempts, which doubles each time.
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
-/// Maximum unusable photographs listed by name.
-const TOLD: usize = 20;
-/// The variable that holds a token: other users of this machine could read an argument.
+/// Maximum number of unusable photographs listed by name.
+const LISTED: usize = 20;
+/// The variable that holds a token: other users of this machine could read a token in an argument.
 const TOKEN: &str = "FLED_TOKEN";
 
 /// Which service, and as who.
@@ -64,7 +64,8 @@ pub struct Remote {
 
 /// Why a request failed.
 enum Fault {
-    /// No answer, or only a part: a retry may succeed. The flag is set if much was transferred.
+    /// No answer, or only a part of one: a retry may succeed. The flag is set if much was
+    /// transferred.
     Lost(String, bool),
     /// The service asks to retry later.
     Later(Option<Duration>, Failure),
@@ -72,13 +73,13 @@ enum Fault {
     Refused(Failure),
 }
 
-/// The fields that are read of a job.
+/// The fields of a job that are read.
 #[derive(Deserialize)]
 struct State {
     state: String,
 }
 
-/// The fields that are read of a problem document.
+/// The fields of a problem document that are read.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Problem {
@@ -132,7 +133,7 @@ impl Remote {
     /// Fetches the JSON at a path.
     ///
     /// # Errors
-    /// [`Failure`] with the service's own message, or if it does not answer for too long.
+    /// [`Failure`] with the service's own message, or if the service does not answer in time.
     pub fn json<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.persist(|| self.ask(path))
     }
@@ -143,7 +144,7 @@ impl Remote {
     }
 
     /// Posts a command to a job, with JSON or no body, and returns the job's new state. If the
-    /// first answer was lost and a retry is refused as no longer possible, the command had taken
+    /// first answer was lost and the retry is refused as no longer possible, the command has taken
     /// effect.
     ///
     /// # Errors
@@ -171,7 +172,7 @@ impl Remote {
         Ok(state.state)
     }
 
-    /// Requests a file, or the rest of it.
+    /// Requests a file or the rest of it.
     fn download(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {
         let mut request = Request::get(self.url(path));
         for (name, value) in headers {
@@ -207,8 +208,7 @@ impl Remote {
         }
     }
 
-    /// Retries until there is an answer, the service refuses, or there was no progress for too
-    /// long.
+    /// Retries until there is an answer, the service refuses, or there is no progress for too long.
     fn persist<T>(&self, mut attempt: impl FnMut() -> Result<T, Fault>) -> Result<T, Failure> {
         let (mut silent_since, mut wait) = (Instant::now(), FIRST_WAIT);
         loop {
@@ -280,7 +280,7 @@ fn refusal(mut response: Response<Body>) -> Fault {
     };
     let images = problem.capture.map(|capture| capture.images);
     let images = images.into_iter().flatten();
-    for image in images.filter(|image| !image.accepted).take(TOLD) {
+    for image in images.filter(|image| !image.accepted).take(LISTED) {
         let reason = image.reason.as_deref().unwrap_or("cannot be used");
         detail += &format!("\n      {}: {reason}", image.name);
     }

@@ -125,7 +125,7 @@ fn viewpoint(args: &Args) -> Result<Viewpoint, Failure> {
     })
 }
 
-/// Reads a camera from a file of its own, which need not have a name or a split.
+/// Reads a camera from a separate file, which need not have a name or a split.
 fn read_pose(path: &Path) -> Result<Camera, Failure> {
     let unreadable = |e: serde_json::Error| Failure::usage(format!("{}: {e}", path.display()));
     let bytes = std::fs::read(path).map_err(io(path))?;

@@ -1,5 +1,5 @@
 //! `fled render-worker`: renders for the service, one JSON line per image, until its standard input
-//! ends. A crash of the graphics driver ends this process and not the service.
+//! ends. A crash of the graphics driver ends this process but not the service.
 
 use std::fmt::Display;
 use std::fs;
@@ -17,13 +17,13 @@ use fled_server::render::{Format, RenderReply, RenderRequest, Shown};
 
 use crate::failure::Failure;
 
-/// JPEG quality: small enough for turning a view live, good enough to judge it.
+/// JPEG quality: small files for turning a view live, and good enough to judge the view.
 const JPEG_QUALITY: u8 = 90;
 
 /// Answers requests.
 ///
 /// # Errors
-/// [`Failure`] if there is no adapter, or the service is gone.
+/// [`Failure`] if there is no adapter, or the service has gone.
 pub fn main() -> Result<(), Failure> {
     let gone = |error: io::Error| Failure::new(ErrorKind::Io, error);
     let mut worker: Option<Worker> = None;
@@ -44,7 +44,7 @@ fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), String> {
     let request: RenderRequest = serde_json::from_str(line).map_err(words)?;
     let worker = match worker {
         Some(worker) => worker,
-        // Opened on the first request, so that its answer reports a missing driver.
+        // Opened on the first request, so that the answer reports a missing driver.
         None => worker.insert(Worker::open()?),
     };
     worker.render(&request)
@@ -73,7 +73,7 @@ impl Stamp {
     }
 }
 
-/// The device and the last rendered scene, because turning a view requests the same one repeatedly.
+/// The device and the last rendered scene: turning a view requests the same scene repeatedly.
 struct Worker {
     renderer: Renderer,
     scene: Option<(Stamp, UploadedGaussians, Normalisation)>,
@@ -98,7 +98,8 @@ impl Worker {
         write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
     }
 
-    /// Renders depth, which replaces the colours on the device by ones that depend on the camera.
+    /// Renders depth, which replaces the colours on the device by colours that depend on the
+    /// camera.
     fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
         let scene = ply::read(&request.scene).map_err(words)?;
         let camera = scene.normalisation.within(&request.camera.camera());

@@ -87,7 +87,7 @@ fn run(
     reporter: &mut Reporter,
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
-    // Also tells the reader of captures that this folder, which may lie in one, is none.
+    // The file also marks this folder as no part of a capture, should it lie inside one.
     workspace.write_json(&workspace.folder().config(), options)?;
     let scratch = workspace.folder().work().capture();
     let photographs = if args.capture.is_file() && video::is_video(&args.capture) {
@@ -99,7 +99,7 @@ fn run(
     let opened = Capture::open_at(photographs, &scratch, side);
     match &opened {
         Ok(Capture { assessments, .. }) | Err(CaptureError::TooFew { assessments, .. }) => {
-            tell(assessments, reporter);
+            report(assessments, reporter);
         }
         Err(_) => {}
     }
@@ -123,8 +123,8 @@ fn run(
     Ok(())
 }
 
-/// Names what is not used and what is worth knowing of each photograph.
-fn tell(assessments: &[Assessment], reporter: &mut Reporter) {
+/// Reports unused photographs with the reason, and the warnings of each photograph.
+fn report(assessments: &[Assessment], reporter: &mut Reporter) {
     for Assessment { name, reason, warnings, .. } in assessments {
         if let Some(reason) = reason {
             reporter.warn("unused", format!("{name} is not used: {reason}"));
@@ -153,7 +153,7 @@ fn options(args: &Args) -> Result<Options, Failure> {
     Ok(options)
 }
 
-/// Whether the option is one of earlier builds, after a warning.
+/// Whether the option is one of earlier builds; warns about it.
 fn is_retired(key: &str) -> bool {
     let retired = Options::is_retired(key);
     if retired {
@@ -162,7 +162,7 @@ fn is_retired(key: &str) -> bool {
     retired
 }
 
-/// The folder with the photographs taken of a video; one that this build has made already serves.
+/// The folder with the photographs taken from a video; reuses one already made by this build.
 fn frames(
     args: &Args,
     scratch: &Path,

@@ -19,7 +19,7 @@ use crate::failure::{Failure, io};
 use crate::tools;
 use child::Program;
 
-/// The doctor's checks of components that affect results. The disk does not.
+/// The doctor's checks of components that affect results. The disk is not one of them.
 const COMPUTING: [&str; 5] = ["adapter", "colmap", "onnxruntime", "models", "matcher"];
 
 /// Arguments of `fled eval suite`.
@@ -107,8 +107,8 @@ fn write_json(path: &Path, summary: &Summary) -> Result<(), Failure> {
 
 /// The components of this machine that affect results, as reported by the doctor.
 fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
-    let said = program.asked(&["doctor", "--json"])?;
-    let checks = said["checks"].as_array().into_iter().flatten();
+    let report = program.asked(&["doctor", "--json"])?;
+    let checks = report["checks"].as_array().into_iter().flatten();
     let named = checks.filter_map(|check| {
         let (name, detail) = (check["name"].as_str()?, check["detail"].as_str()?);
         COMPUTING.contains(&name).then(|| (name.to_owned(), detail.to_owned()))
@@ -116,7 +116,7 @@ fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
     let found: BTreeMap<String, String> = named.collect();
     if found.len() != COMPUTING.len() {
         return Err(SuiteError::Child(format!(
-            "`fled doctor` does not report what this machine computes with: {said}"
+            "`fled doctor` does not report what this machine computes with: {report}"
         )));
     }
     Ok(found)

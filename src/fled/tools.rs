@@ -76,7 +76,7 @@ impl ModelFolder {
 }
 
 impl Args {
-    /// Folders to search for ONNX Runtime's library; the first hit wins.
+    /// Folders to search for ONNX Runtime's library; the first match wins.
     pub fn library_folders() -> Vec<PathBuf> {
         let mut folders = Vec::new();
         if let Ok(program) = std::env::current_exe()
@@ -93,7 +93,7 @@ impl Args {
         folders
     }
 
-    /// Folders to search for the weights of key points and matches.
+    /// Folders to search for the weights that find and match key points.
     pub fn matcher_folders(&self) -> Vec<PathBuf> {
         if let Some(folder) = &self.matcher {
             return vec![folder.clone()];
@@ -111,7 +111,7 @@ impl Args {
         folders
     }
 
-    /// Environment variables by which a child finds the same tools.
+    /// Environment variables through which a child process finds the same tools.
     pub fn environment(&self) -> Vec<(&'static str, OsString)> {
         let named = [
             ("FLED_COLMAP", Some(&self.colmap)),
@@ -178,6 +178,7 @@ impl Kit {
     ///
     /// # Errors
     /// [`Failure`] of kind `environment` with a hint, or `bad_input` if the options request given
+    /// poses that the capture lacks.
     /// poses that the capture lacks.
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
         let device =
@@ -273,8 +274,8 @@ fn open_networks(
     Ok((deblurrer.map_err(PipelineError::from)?, enhancer.map_err(PipelineError::from)?))
 }
 
-/// Returns a token that SIGINT and SIGTERM cancel. A further SIGINT ends the process at once. A
-/// further SIGTERM does not: stopping a service may signal each of its processes, and the service
+/// Returns a token that SIGINT and SIGTERM cancel. A second SIGINT ends the process at once. A
+/// second SIGTERM does not: stopping a service may signal each of its processes, and the service
 /// signals its jobs too.
 ///
 /// # Errors

@@ -155,7 +155,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
     })
 }
 
-/// Progress of the video: a bar for people, JSON lines for programs.
+/// Progress of the video: a bar for users, JSON lines for programs.
 struct Progress {
     bar: Option<ProgressBar>,
     total: usize,

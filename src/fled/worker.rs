@@ -31,7 +31,7 @@ pub struct Args {
     models: tools::ModelFolder,
 }
 
-/// Runs jobs until SIGINT or SIGTERM; running jobs then go back to the queue with their progress.
+/// Runs jobs until SIGINT or SIGTERM; running jobs are then queued again with their progress.
 ///
 /// # Errors
 /// [`Failure`] if the data directory, the database or the blob store cannot be used.
@@ -69,10 +69,10 @@ pub fn about(adapter: &str, jobs: usize) -> About {
     }
 }
 
-/// This machine's memory in bytes, if it is known.
+/// This machine's memory in bytes, if known.
 fn memory() -> Option<u64> {
-    let told = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = told.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let memory = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = memory.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
     let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
     Some(kib * 1024)
 }

@@ -1,5 +1,6 @@
 //! Benchmarks of fled on a device: training and rendering of scenes that are the same on every
-//! machine, the two heaviest parts of a step on their own, and every kernel by the device's clock.
+//! machine, the two most expensive parts of a step on their own, and every kernel by the device's
+//! clock.
 //!
 //! A case runs the product's own code, not a copy: training is [`Stepper`], the loop of
 //! [`train`](fled_core::reconstruct::train); rendering is
@@ -29,16 +30,16 @@ use report::{Case, Machine, Report};
 use subject::{Rendering, Similarity, Sorting, Subject, Training};
 pub use workload::Workload;
 
-/// Steps of the round that the measured steps belong to, and the first of them. In the middle of a
-/// round all harmonics are active and the noise field has an effect; relocation and the estimate of
-/// the shake precede the first step and every hundredth after it.
+/// Number of steps in the round that the measured steps belong to, and the first measured step. In
+/// the middle of a round all harmonics are active and the noise field has an effect; relocation and
+/// the estimate of the shake precede the first step and every hundredth step after it.
 const ROUND: u32 = 10_000;
 const FIRST: u32 = ROUND / 2;
 
-/// Receives the number of finished cases, of all cases, and the name of the next.
+/// Receives the number of finished cases, the number of all cases, and the name of the next.
 pub type Progress<'a> = &'a mut dyn FnMut(usize, usize, &str);
 
-/// The models of a step besides the scene.
+/// The models of a step, apart from the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Extras {
     noise: NoiseMode,

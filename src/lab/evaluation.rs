@@ -1,11 +1,11 @@
-//! Evaluation of runs by sharp photographs that they never saw: the measure of every claim about
-//! quality.
+//! Evaluation of runs against sharp photographs not used in training: the measure behind every
+//! claim about quality.
 //!
-//! The photographs come with poses of their own. The training cameras have poses in both worlds,
-//! and the similarity between these maps the others into the run's world. There the scene is
+//! The photographs come with their own poses. The training cameras have poses in both worlds, and
+//! the similarity between these maps the other cameras into the run's world. There the scene is
 //! rendered and compared twice: with the mapped camera, and with the camera registered to the sharp
-//! photograph while the scene stays fixed. The second score judges the scene, and the difference of
-//! the two the poses.
+//! photograph while the scene stays fixed. The second score judges the scene; the difference
+//! between the two judges the poses.
 
 mod elongated;
 mod error;
@@ -50,7 +50,7 @@ pub struct Request<'a> {
     pub subject: &'a Subject,
     /// The sharp photographs.
     pub truth: &'a Truth,
-    /// The run whose scene decides which pixels two training views see; usually the judged one
+    /// The run whose scene decides which pixels two training views see; usually the judged run
     /// itself.
     pub seen_from: &'a Subject,
     /// Folder of masks named like the test views, white where they are scored; `None` scores
@@ -180,7 +180,7 @@ fn register(
         let mut photographs = Vec::new();
         for (view, camera) in views.iter().zip(&cameras) {
             let render = renderer.render_scene(scene, camera)?;
-            // Match the tone of the scene: a difference of tone is no motion.
+            // Match the tone of the scene: a difference in tone is not motion.
             let fit = metrics::ColourFit::between(&view.photograph, &render);
             photographs.push(TrainingView {
                 name: view.name.clone(),

@@ -38,9 +38,9 @@ pub struct App {
     pub worker: String,
     /// Uploads in progress.
     pub uploads: Uploads,
-    /// The resumable uploads that requests use.
+    /// Locks on resumable uploads in use by requests.
     pub upload_locks: UploadLocks,
-    /// The processes that look at uploads.
+    /// The processes that validate uploads.
     pub validators: Validators,
     /// The render process.
     pub renderers: Renderers,
@@ -50,7 +50,7 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
-    /// Turns at making files while they are sent.
+    /// Permits for generating exports while they are sent.
     pub exporting: Arc<Semaphore>,
     /// Counters for `/metrics`.
     pub telemetry: Telemetry,
@@ -94,20 +94,20 @@ impl App {
         }
     }
 
-    /// Returns whether less space is left than the server needs to go on. A file system that does
-    /// not report its free space counts as having enough.
+    /// Returns whether less space is left than the server needs to continue. A file system that
+    /// does not report its free space counts as having enough.
     pub fn is_disk_full(&self) -> bool {
         self.has_no_space_for(0)
     }
 
-    /// Returns whether `bytes` more would leave less space than the server needs to go on.
+    /// Returns whether `bytes` more would leave less space than the server needs to continue.
     pub fn has_no_space_for(&self, bytes: u64) -> bool {
         self.data
             .free_bytes()
             .is_ok_and(|free| free < self.limits.min_free_bytes.saturating_add(bytes))
     }
 
-    /// Bytes that may be written before less space is left than the server needs to go on.
+    /// Bytes that may be written before less space is left than the server needs to continue.
     pub fn free_space(&self) -> u64 {
         let free = self.data.free_bytes().unwrap_or(u64::MAX);
         free.saturating_sub(self.limits.min_free_bytes)

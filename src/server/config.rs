@@ -15,19 +15,19 @@ use crate::store::{About, Retention};
 /// Configuration of `fled serve`.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
-    /// The directory of everything the server stores: database, captures, jobs.
+    /// The directory of all data that the server stores: database, captures, jobs.
     pub data: PathBuf,
     /// The shared database, `postgres://..`; if absent, the one in `data`.
     pub database: Option<String>,
     /// The shared blob store, a directory or `s3://BUCKET/PREFIX`; `data` is then only this
     /// machine's cache.
     pub files: Option<String>,
-    /// What this machine reports about itself, by which it is assigned jobs; if absent, it takes
-    /// any.
+    /// What this machine reports about itself, used to assign jobs to it; if absent, it takes any
+    /// job.
     pub about: Option<About>,
-    /// Address to listen on; port 0 takes a free one.
+    /// Address to listen on; port 0 picks a free one.
     pub listen: SocketAddr,
-    /// Whether it may listen to other machines without any token.
+    /// Whether it accepts other machines without any token.
     pub open: bool,
     /// Host names it accepts, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
@@ -45,7 +45,7 @@ pub struct ServeConfig {
     pub video_command: Vec<OsString>,
     /// Program and arguments of a process that checks the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
-    /// Whether webhooks may point to addresses of inner networks.
+    /// Whether webhooks may point to addresses in internal networks.
     pub inner_webhooks: bool,
     /// The FFmpeg program.
     pub ffmpeg: PathBuf,
@@ -55,7 +55,7 @@ pub struct ServeConfig {
     pub retention: Retention,
     /// Observes the failpoints of workers. Only tests set it.
     pub watcher: Option<Watcher>,
-    /// Timeouts and sizes.
+    /// Timeouts and size limits.
     pub limits: Limits,
 }
 
@@ -95,7 +95,7 @@ impl ServeConfig {
     }
 }
 
-/// Timeouts and sizes of a server. The defaults suit production; tests shorten them.
+/// Timeouts and size limits of a server. The defaults suit production; tests shorten them.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// How long a worker may be silent before it loses its job.
@@ -107,12 +107,12 @@ pub struct Limits {
     pub silence: Duration,
     /// Maximum run time of a job's process.
     pub wall: Duration,
-    /// Time between SIGTERM and SIGKILL. Cancellation promises two seconds in all.
+    /// Time between SIGTERM and SIGKILL. Cancellation promises two seconds in total.
     pub grace: Duration,
-    /// The same when the server stops rather than the job: a training saves its current step.
+    /// As `grace`, when the server stops and not the job: a training saves its current step.
     pub draining: Duration,
-    /// How long a worker's heartbeat may fail before it ends its job, which must precede its
-    /// takeover.
+    /// How long a worker's heartbeat may fail before it ends its job, which must happen before
+    /// another worker takes the job over.
     pub unheard: Duration,
     /// How often a worker publishes its job's files to a shared blob store, besides after every
     /// stage.
@@ -123,16 +123,16 @@ pub struct Limits {
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
     pub retry_base: Duration,
-    /// The same after a disk or database error: those last longer.
+    /// As `retry_base`, after a disk or database error: such errors last longer.
     pub io_retry_base: Duration,
     /// Consecutive attempts without progress before a job fails.
     pub attempts_without_progress: u32,
     /// Consecutive deaths of the server, while a job ran without progress, before the job fails.
-    /// More than attempts: a power cut is not the job's fault, three may be.
+    /// More than attempts: one power cut is not the job's fault, three may be.
     pub deaths_without_progress: u32,
     /// Maximum queued jobs.
     pub queue: u32,
-    /// Allowance that a client regains per second: reading requests cost one, writing ones ten. 0
+    /// Allowance that a client regains per second: a read request costs one, a write request ten. 0
     /// disables the limit.
     pub rate: u32,
     /// The full allowance of a client.
@@ -141,7 +141,7 @@ pub struct Limits {
     pub min_free_bytes: u64,
     /// Largest upload, bytes.
     pub max_upload_bytes: u64,
-    /// Maximum resumable uploads of an owner at a time: as many as a capture may have files.
+    /// Maximum resumable uploads of an owner at a time: the maximum number of files in a capture.
     pub max_uploads: u32,
     /// How long after its last byte a resumable upload expires.
     pub upload_life: Duration,
@@ -151,8 +151,9 @@ pub struct Limits {
     pub max_decoding_bytes: u64,
     /// Maximum validation processes at a time; further uploads wait.
     pub validators: usize,
-    /// Address space of such a process, and of the one that reads a video, in bytes. A frame of the
-    /// most pixels takes 120 MB in 10 bits, and decoders keep up to 17 frames plus one per thread.
+    /// Address space of such a process, and of the one that reads a video, in bytes. A frame with
+    /// the maximum number of pixels takes 120 MB in 10 bits, and decoders keep up to 17 frames plus
+    /// one per thread.
     pub assessing_bytes: u64,
     /// Maximum time to validate an upload; a video takes up to eight minutes of it.
     pub assessing: Duration,

@@ -18,7 +18,7 @@ pub enum ServerError {
     /// A database operation failed.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
-    /// The schema could not be brought up to date.
+    /// The schema could not be migrated.
     #[error("database schema: {0}")]
     Migration(#[from] sqlx::migrate::MigrateError),
     /// A later version has changed the schema.
@@ -79,12 +79,12 @@ pub enum ServerError {
     /// A stored value does not match the schema.
     #[error("stored {what} is damaged: {detail}")]
     Damaged {
-        /// What was read.
+        /// The item that was read.
         what: &'static str,
-        /// What is wrong with it.
+        /// The fault in the item.
         detail: String,
     },
-    /// The worker no longer holds the job, so its write was dropped.
+    /// The worker no longer holds the job, so its write was discarded.
     #[error("the lease of job {0} was lost")]
     LeaseLost(String),
 }

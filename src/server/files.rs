@@ -1,4 +1,4 @@
-//! The files of a server: its data directory, its cache of a blob store, uploads in progress.
+//! The files of a server: its data directory, its cache of a blob store, and uploads in progress.
 
 pub mod blob_cache;
 pub mod data;
@@ -10,10 +10,10 @@ use std::io::{self, ErrorKind};
 use std::path::Path;
 
 /// Attempts to delete a folder that may still be written to: the processes of an earlier server end
-/// with it, but a moment later, as does a write of a client that hangs up.
+/// shortly after it, as does a write for a client that disconnects.
 const ATTEMPTS: u32 = 5;
 
-/// Removes a file or a folder, if it is there.
+/// Removes a file or a folder, if it exists.
 ///
 /// # Errors
 /// When the file system refuses.
@@ -33,8 +33,8 @@ pub fn delete(path: &Path) -> io::Result<()> {
     }
 }
 
-/// Removes the file or folder of something no longer in the database. An error is only logged:
-/// without a row it is already deleted.
+/// Removes the files of an item that is no longer in the database. An error is only logged: without
+/// a row, the item counts as deleted.
 pub async fn remove(path: &Path) {
     let from = path.to_owned();
     let removed = tokio::task::spawn_blocking(move || delete(&from)).await;

@@ -1,5 +1,5 @@
 //! The janitor, which removes expired and unneeded files and rows. A server applies its rules at
-//! its start and every hour; `fled gc` applies them by hand.
+//! the start and then every hour; `fled gc` applies them by hand.
 //!
 //! Files and rows cannot change together: a server that dies between the two leaves files without a
 //! row, never a row without files. A database restored from an older backup also names fewer files
@@ -23,7 +23,7 @@ use crate::store::{Engine, Store};
 pub use blobs::claim;
 pub use gc::{Collected, GcOptions, Gone, gc};
 
-/// Time between two rounds. Files changed within it stay: what is being created has no row yet.
+/// Time between two rounds. Files changed within it stay: a new file may not have a row yet.
 const PERIOD: Duration = Duration::from_secs(3600);
 const DAY: Duration = Duration::from_secs(24 * 3600);
 /// How long past webhook deliveries are kept, in milliseconds.
@@ -46,7 +46,7 @@ enum Name {
 
 struct Rule {
     name: Name,
-    /// Why it removes something.
+    /// The reason for the removal.
     what: &'static str,
     /// Whether the rule applies.
     when: fn(&Janitor<'_>) -> bool,
@@ -68,7 +68,7 @@ static RULES: [Rule; 11] = [
     Rule {
         name: Name::LostUploads,
         what: "an upload whose file is missing",
-        // The files of other machines' uploads lie elsewhere; rows of lost ones expire.
+        // The files of other machines' uploads lie elsewhere; rows of lost uploads expire.
         when: |at| at.app.is_some() && at.store.engine() == Engine::Sqlite,
     },
     Rule {
@@ -97,7 +97,7 @@ static RULES: [Rule; 11] = [
     Rule {
         name: Name::Blobs,
         what: "a blob that no file uses",
-        // It lists the whole blob store, which would delay a start.
+        // The rule lists the whole blob store, which would delay a start.
         when: |at| at.serves && !at.made.is_zero(),
     },
 ];
@@ -108,11 +108,11 @@ struct Janitor<'a> {
     store: &'a Store,
     /// The server; `None` for `fled gc`.
     app: Option<&'a App>,
-    /// Whether it removes shared things: a worker does not know what to keep.
+    /// Whether it removes shared files and rows: a worker does not know what to keep.
     serves: bool,
-    /// Only reports.
+    /// Whether to report only.
     dry_run: bool,
-    /// Files changed within this time stay, whatever the rule.
+    /// Files changed within this time stay under every rule.
     made: Duration,
     /// How long orphans are kept.
     orphans: Duration,
@@ -135,9 +135,9 @@ pub async fn keep_clean(app: Arc<App>, serves: bool) {
     }
 }
 
-/// Applies the rules once. Files changed within `made` stay; before workers and requests start,
-/// that is zero, because what has no row then never gets one. Errors are logged and do not keep a
-/// server from starting.
+/// Applies the rules once. Files changed within `made` stay. `made` is zero before workers and
+/// requests start: a file that has no row by then never gets one. Errors are logged and do not keep
+/// a server from starting.
 pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
     let runtime = tokio::runtime::Handle::current();
     let round = move || {
@@ -161,7 +161,7 @@ pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
             }
         });
     };
-    // It blocks on the disk.
+    // A round blocks on the disk.
     if let Err(error) = tokio::task::spawn_blocking(round).await {
         tracing::error!(%error, "the janitor was interrupted");
     }
@@ -180,7 +180,7 @@ impl Janitor<'_> {
         }
     }
 
-    /// Returns the number of removed things.
+    /// Returns the number of removed items.
     async fn follow(&mut self, rule: &Rule) -> Result<usize> {
         let now = self.store.now().await?;
         let found = match (rule.name, self.app) {
@@ -199,15 +199,15 @@ impl Janitor<'_> {
         Ok(gone.filter(|gone| *gone).count())
     }
 
-    /// A server marks first, so that nothing is deleted without notice.
+    /// A server first marks the rows, so that nothing is deleted without notice.
     async fn expired(&mut self, rule: &Rule, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         if let Some(app) = app {
             let retention = &app.config.retention;
-            // Even if the disk is too full to mark, deletion helps.
+            // Deletion helps even if the disk is too full to mark rows.
             if let Err(error) = self.store.mark_expiring(retention, now).await {
                 self.fail(rule, error);
             }
-            // With retention off, rows marked earlier are not deleted either.
+            // With retention off, rows marked earlier stay as well.
             if retention.is_off() {
                 return Ok(Vec::new());
             }
@@ -224,7 +224,7 @@ impl Janitor<'_> {
     async fn expired_uploads(&self, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         let mut found = Vec::new();
         for id in self.store.expired_uploads(now).await? {
-            // A piece that has taken longer than that is no reason.
+            // An upload in use stays, even if a piece takes longer than that.
             let is_in_use = app.is_some_and(|app| app.upload_locks.contains(&id));
             if !is_in_use && (self.dry_run || self.store.forget_upload(&id, Some(now)).await?) {
                 found.push(self.data.upload(&id));
@@ -233,7 +233,8 @@ impl Janitor<'_> {
         Ok(found)
     }
 
-    /// The file of an upload is created before its row and deleted after it.
+    /// Removes the rows of uploads whose files are missing: the file of an upload is created before
+    /// its row and deleted after it.
     async fn forget_lost_uploads(&self) -> Result<usize> {
         let mut lost = 0;
         for id in self.store.ids("uploads").await? {

@@ -1,7 +1,7 @@
 //! The service: HTTP API, jobs, their store and the dashboard.
 //!
 //! The API never computes: jobs, renders and the validation of uploads run in child processes, so
-//! that a crash of a driver, a tool or a decoder leaves the API running.
+//! that the API survives a crash of a driver, a tool or a decoder.
 
 mod app;
 mod config;

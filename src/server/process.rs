@@ -1,7 +1,7 @@
-//! Child processes in groups of their own, read line by line.
+//! Child processes in separate groups, read line by line.
 //!
-//! A group is signalled only while its leader has not been reaped: afterwards the kernel may give
-//! its number to another one.
+//! A group is signalled only while its leader has not been reaped: afterwards the kernel may reuse
+//! its number for another group.
 
 pub mod parent_death;
 
@@ -38,7 +38,7 @@ pub enum Line {
     Error(String),
 }
 
-/// An event of a child process.
+/// An event from a child process.
 #[derive(Debug)]
 pub enum Happening {
     /// It wrote a line.
@@ -55,8 +55,8 @@ pub struct Group {
     child: Child,
     pid: Pid,
     ends: Ends,
-    /// Whether [`Group::next`] has returned its end.
-    is_told: bool,
+    /// Whether [`Group::next`] has reported its end.
+    is_reported: bool,
     is_reaped: bool,
     /// Its standard input.
     pub stdin: Option<ChildStdin>,
@@ -114,12 +114,12 @@ impl Group {
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
         }
         for (name, _) in std::env::vars_os() {
-            let told = name.to_string_lossy();
-            if SECRETS.iter().any(|secret| told.starts_with(secret)) {
+            let text = name.to_string_lossy();
+            if SECRETS.iter().any(|secret| text.starts_with(secret)) {
                 command.env_remove(name);
             }
         }
-        // Before the child, whose end would be missed otherwise.
+        // Before the child starts: otherwise its end could be missed.
         let children = unix::signal(SignalKind::child())?;
         let mut child = command
             .args(first)
@@ -144,7 +144,7 @@ impl Group {
             tokio::spawn(read_lines(stderr, Line::Error, sender));
         }
         let ends = Ends { children, status: None };
-        Ok(Self { child, pid, ends, is_told: false, is_reaped: false, stdin, lines })
+        Ok(Self { child, pid, ends, is_reported: false, is_reaped: false, stdin, lines })
     }
 
     /// The id of the process and of its group.
@@ -165,8 +165,8 @@ impl Group {
         tokio::select! {
             biased;
             line = self.lines.recv() => Ok(line.map_or(Happening::Closed, Happening::Line)),
-            status = self.ends.status_of(self.pid), if !self.is_told => {
-                self.is_told = true;
+            status = self.ends.status_of(self.pid), if !self.is_reported => {
+                self.is_reported = true;
                 status.map(Happening::Ended)
             }
         }
@@ -180,11 +180,11 @@ impl Group {
         self.ends.status_of(self.pid).await
     }
 
-    /// Asks the group to end, and kills it after `grace`, with all that it has left behind. Returns
-    /// once the process is gone.
+    /// Asks the group to end, and kills all that is left of it after `grace`. Returns once the
+    /// process has gone.
     pub async fn stop(&mut self, grace: Duration) {
         self.signal(Signal::TERM);
-        // Whether it ended in time or not, the rest of its group must go.
+        // Whether or not the leader ended in time, the rest of its group must go.
         let _ = tokio::time::timeout(grace, self.wait()).await;
         self.signal(Signal::KILL);
         match self.child.wait().await {
@@ -277,7 +277,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_number_of_a_group_is_its_own_until_it_was_signalled_last() {
+    async fn a_group_keeps_its_number_until_its_last_signal() {
         let script = "trap '' TERM; sleep 60 >&- 2>&- & kill -9 $$";
         let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
         let state = format!("/proc/{}/stat", group.pid());

@@ -14,9 +14,9 @@ use governor::middleware::StateInformationMiddleware;
 use governor::state::keyed::DefaultKeyedStateStore;
 use governor::{Quota, RateLimiter};
 
-/// Cost of a read-only request.
+/// Cost of a read request.
 pub const READ: NonZeroU32 = NonZeroU32::MIN;
-/// Cost of a request that changes something.
+/// Cost of a write request.
 pub const WRITE: NonZeroU32 = NonZeroU32::new(10).expect("not zero");
 /// Cost of a request that begins a resumable upload or adds a piece: there are many, and their
 /// bytes cost the sender more than the server.
@@ -27,14 +27,14 @@ const FORGET_EVERY: u32 = 4096;
 type Limiter =
     RateLimiter<Client, DefaultKeyedStateStore<Client>, DefaultClock, StateInformationMiddleware>;
 
-/// The key that requests are counted by.
+/// The key by which requests are counted.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Client {
     /// The owner of the presented token.
     Owner(String),
     /// The address of a client without a valid token.
     Address(IpAddr),
-    /// The same for logins and logouts, so that other requests cannot block them.
+    /// As [`Client::Address`], for logins and logouts, so that other requests cannot block them.
     Login(IpAddr),
 }
 
@@ -45,7 +45,7 @@ pub struct Allowance {
     pub most: u32,
     /// The remaining allowance.
     pub left: u32,
-    /// Time until it is full again.
+    /// Time until the full allowance is restored.
     pub whole_in: Duration,
     /// Time in which `most` refills.
     pub window: Duration,
@@ -89,8 +89,8 @@ impl Rates {
         }
     }
 
-    /// Takes `cost` from a client's allowance, or returns how long it has to wait; `None` without a
-    /// limit.
+    /// Takes `cost` from a client's allowance and returns the remainder, with a wait if the request
+    /// is refused; `None` without a limit.
     pub fn take(&self, client: &Client, cost: NonZeroU32) -> Option<Allowance> {
         let limiter = self.limiter.as_ref()?;
         if self.asked.fetch_add(1, Ordering::Relaxed) % FORGET_EVERY == FORGET_EVERY - 1 {

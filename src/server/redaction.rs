@@ -2,7 +2,7 @@
 
 /// Shortens the absolute paths in a text to their last component.
 pub fn without_paths(text: &str) -> String {
-    let mut told = String::with_capacity(text.len());
+    let mut shortened = String::with_capacity(text.len());
     let mut rest = text;
     let mut before = ' ';
     while let Some(c) = rest.chars().next() {
@@ -11,16 +11,16 @@ pub fn without_paths(text: &str) -> String {
         let end = rest.find(ends_a_path).unwrap_or(rest.len());
         let path = rest[..end].trim_end_matches([':', '.']);
         if begins && path.len() > 1 {
-            told.push_str(path.trim_end_matches('/').rsplit('/').next().unwrap_or(path));
+            shortened.push_str(path.trim_end_matches('/').rsplit('/').next().unwrap_or(path));
             rest = &rest[path.len()..];
             before = '/';
         } else {
-            told.push(c);
+            shortened.push(c);
             rest = &rest[c.len_utf8()..];
             before = c;
         }
     }
-    told
+    shortened
 }
 
 fn ends_a_path(c: char) -> bool {
@@ -33,7 +33,7 @@ mod tests {
 
     #[test]
     fn only_absolute_paths_are_shortened_to_names() {
-        for (text, told) in [
+        for (text, shortened) in [
             ("/srv/fled/jobs/7/output/scene.ply: No such file", "scene.ply: No such file"),
             ("cannot read `/srv/a/b.json`.", "cannot read `b.json`."),
             ("colmap (/usr/bin/colmap) 3.9", "colmap (colmap) 3.9"),
@@ -43,7 +43,7 @@ mod tests {
             ("/srv/caf\u{e9}/\u{65e5}.png", "\u{65e5}.png"),
             ("", ""),
         ] {
-            assert_eq!(without_paths(text), told);
+            assert_eq!(without_paths(text), shortened);
         }
     }
 }

@@ -1,7 +1,7 @@
-//! The process that renders novel views: one, kept alive, replaced when it dies.
+//! The process that renders novel views: a single one, kept alive and replaced when it dies.
 //!
-//! Rendering needs the GPU's driver; in a process of its own a fault of the driver costs one
-//! picture and not the service.
+//! Rendering needs the GPU's driver. In a separate process, a driver fault costs one picture, not
+//! the service.
 
 mod turns;
 
@@ -19,7 +19,7 @@ use tokio::sync::{Mutex, oneshot};
 use self::turns::Turns;
 use crate::process::{Group, Line};
 
-/// Requests at a time, with the one that is being done; more are refused.
+/// Maximum requests at a time, including the one in progress; more are refused.
 const QUEUE: usize = 32;
 
 /// The file format of a render.
@@ -72,17 +72,17 @@ pub enum Shown {
 pub struct RenderRequest {
     /// The scene's PLY file.
     pub scene: PathBuf,
-    /// Pose, intrinsics and size; the name and the split mean nothing here.
+    /// Pose, intrinsics and size; the name and the split are ignored.
     pub camera: NamedCamera,
-    /// What it shows.
+    /// What the picture shows.
     #[serde(default)]
     pub shown: Shown,
-    /// Brighter by so many stops, in light; no depth is.
+    /// Stops by which the linear light is brightened; no effect on depth.
     #[serde(default)]
     pub ev: f64,
     /// Format of the picture.
     pub format: Format,
-    /// Where to write it.
+    /// Path of the picture to write.
     pub out: PathBuf,
 }
 
@@ -90,19 +90,19 @@ pub struct RenderRequest {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RenderReply {
-    /// The picture is written.
+    /// The picture has been written.
     Ok(bool),
-    /// Why it is not.
+    /// Why it has not.
     Error(String),
 }
 
-/// Why there is no picture.
+/// Why a render failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RenderError {
     /// Too many requests wait.
     #[error("too many renders are waiting")]
     Busy,
-    /// The process says so.
+    /// The process refused the request.
     #[error("{0}")]
     Refused(String),
     /// The process died, could not be started, or did not answer.
@@ -121,32 +121,32 @@ pub struct Renderers {
 }
 
 impl Renderers {
-    /// Nothing is started before the first request.
+    /// No process starts before the first request.
     pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
         Self { command, timeout, grace, process: Arc::default(), turns: Turns::new(QUEUE) }
     }
 
-    /// Renders one picture to `request.out`. Clients take turns; each has its own in the order of
-    /// asking.
+    /// Renders one picture to `request.out`. Clients take turns; the requests of one client are
+    /// served in order.
     ///
     /// # Errors
-    /// [`RenderError`]; the next request starts a new process where this one lost it.
+    /// [`RenderError`]; if the process was lost, the next request starts a new one.
     pub async fn render(&self, client: IpAddr, request: &RenderRequest) -> Result<(), RenderError> {
         let line = serde_json::to_string(request)
             .map_err(|error| RenderError::Refused(error.to_string()))?;
-        // Whoever hangs up while waiting here leaves the queue.
+        // A client that disconnects while waiting here leaves the queue.
         let turn = self.turns.take(client).await.ok_or(RenderError::Busy)?;
         let mut slot = self.process.clone().lock_owned().await;
         let (command, timeout, grace) = (self.command.clone(), self.timeout, self.grace);
         let out = request.out.clone();
         let (sender, answer) = oneshot::channel();
-        // In a task of its own: a client that hangs up must not leave half a conversation behind,
-        // whose answer the next request would take for its own.
+        // In a separate task: if a client disconnected in mid-exchange, the next request would take
+        // the pending answer for its own.
         tokio::spawn(async move {
             let outcome = exchange(&mut slot, &command, &line, (timeout, grace)).await;
             drop((slot, turn));
             if sender.send(outcome).is_err() {
-                // Nobody takes the picture; where there is none, nothing is to be removed.
+                // No one receives the picture; if there is none, there is nothing to remove.
                 drop(tokio::fs::remove_file(&out).await);
             }
         });
@@ -167,7 +167,7 @@ async fn exchange(
     line: &str,
     (timeout, grace): (Duration, Duration),
 ) -> Result<(), RenderError> {
-    // A process that was alive before may have died meanwhile: then one new one is tried.
+    // A process that ran before may have died meanwhile: then one new process is tried.
     let mut fresh = slot.is_none();
     loop {
         let group = match slot {
@@ -199,7 +199,7 @@ fn start(command: &[OsString]) -> Result<Group, RenderError> {
         .map_err(|error| RenderError::Process(format!("could not be started: {error}")))
 }
 
-/// Sends a request and waits for the answer; `None` when the process is gone.
+/// Sends a request and waits for the answer; `None` if the process has gone.
 async fn ask(group: &mut Group, line: &str) -> Option<RenderReply> {
     let stdin = group.stdin.as_mut()?;
     stdin.write_all(line.as_bytes()).await.ok()?;

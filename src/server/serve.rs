@@ -1,4 +1,4 @@
-//! The life of a server: open, recover, serve, stop.
+//! The life cycle of a server: open, recover, serve, stop.
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -23,9 +23,9 @@ use crate::transfer::adopt_videos;
 use crate::webhooks::keep_telling;
 use crate::worker::{self, after_death, kill_orphans};
 
-/// How long open requests may take to end once the server stops.
+/// How long open requests may take to finish once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
-/// How long jobs here may take to save and publish their state when the process stops: supervisors
+/// How long this process's jobs may take to save and publish their state when it stops: supervisors
 /// usually wait half a minute.
 const HANDING_IN: Duration = Duration::from_secs(25);
 
@@ -66,7 +66,7 @@ impl Server {
         Ok(Self { address: Some(address), app, turns, tasks })
     }
 
-    /// Opens the data directory and the database and runs jobs, without an API of its own.
+    /// Opens the data directory and the database and runs jobs, without an API.
     ///
     /// # Errors
     /// When one of them is in use or unusable.
@@ -77,19 +77,19 @@ impl Server {
         Ok(Self { address: None, app, turns, tasks })
     }
 
-    /// The address it listens on, if it does.
+    /// The address it listens on, if any.
     pub fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
-    /// Stops: running jobs are interrupted and go back to the queue, open requests may end.
+    /// Stops: running jobs are interrupted and queued again, and open requests may finish.
     pub async fn stop(mut self) {
         let app = &self.app;
         app.shutdown.cancel();
         let jobs = end(&mut self.turns, HANDING_IN, "jobs");
         let requests = end(&mut self.tasks, FAREWELL, "requests");
         tokio::join!(jobs, requests);
-        // Do not wait for a render: its process ends with this one.
+        // Renders are not waited for: their process ends with this one.
         let grace = app.limits.grace;
         if tokio::time::timeout(grace, app.renderers.stop()).await.is_err() {
             tracing::info!("a picture was still being rendered");
@@ -111,7 +111,7 @@ struct Opened {
     worker: String,
 }
 
-/// Opens what a configuration names, and recovers what an earlier process has left here.
+/// Opens what the configuration names, and recovers what an earlier process has left here.
 async fn open(config: &ServeConfig) -> Result<Opened> {
     let data = DataDir::open(&config.data)?;
     let store = match &config.database {
@@ -129,7 +129,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         None => None,
     };
     if let Some(blobs) = &blobs {
-        // The files here would be taken for an outdated cache and removed.
+        // Otherwise the files here would be mistaken for an outdated cache and removed.
         if let Some(capture) = store.capture_without_files().await? {
             return Err(ServerError::NotInStore(capture));
         }
@@ -139,7 +139,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     let limits = config.limits;
     let settle = |deaths| after_death(&limits, deaths);
     let left = match store.engine() {
-        // No other process uses it.
+        // No other process uses the database.
         Engine::Sqlite => store.release_all(settle).await?,
         Engine::Postgres => store.release_of(&worker, settle).await?,
     };
@@ -159,7 +159,7 @@ impl Opened {
     }
 }
 
-/// Waits for tasks to end, and aborts those that do not.
+/// Waits for tasks to end, and aborts those that take too long.
 async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     let ended = async { while tasks.join_next().await.is_some() {} };
     if tokio::time::timeout(patience, ended).await.is_err() {
@@ -168,8 +168,8 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     tasks.shutdown().await;
 }
 
-/// Begins what every process does: to be seen by the others, and to work on jobs, as many at once
-/// as it is told, and on one video, which gives way to them.
+/// Starts the tasks common to all processes: register with the others, run the configured number of
+/// jobs at a time, and make one video at a time, which yields to the jobs.
 fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
     tasks.spawn(janitor::keep_clean(app.clone(), serves));
     let (look, shutdown) = (app.limits.look, app.shutdown.clone());
@@ -188,7 +188,7 @@ fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSe
 /// Logs who may use the server.
 ///
 /// # Errors
-/// [`ServerError::Unguarded`] if everyone could, without a token.
+/// [`ServerError::Unguarded`] if anyone could without a token.
 async fn guard(config: &ServeConfig, store: &Store) -> Result<()> {
     if store.has_tokens().await? {
         tracing::info!("every request requires a token");
@@ -211,21 +211,21 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
     if let Some(address) = server.address() {
         tracing::info!("listening on http://{address}");
     }
-    until_told(server).await
+    until_signalled(server).await
 }
 
-/// Runs jobs until SIGINT or SIGTERM; running jobs then go back to the queue.
+/// Runs jobs until SIGINT or SIGTERM; running jobs are then queued again.
 ///
 /// # Errors
 /// When the worker cannot start.
 pub async fn work(config: ServeConfig) -> Result<()> {
     let server = Server::start_worker(config).await?;
     tracing::info!(worker = server.app.worker, "working");
-    until_told(server).await
+    until_signalled(server).await
 }
 
 /// Waits for a signal, then stops.
-async fn until_told(server: Server) -> Result<()> {
+async fn until_signalled(server: Server) -> Result<()> {
     let io = |source| ServerError::Io { path: "signals".into(), source };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io)?;
@@ -286,7 +286,7 @@ mod tests {
             }
             first.stop().await;
         }
-        // As the message advises if one database replaces the other.
+        // As the message advises when one database replaces the other.
         std::fs::remove_file(store.join("mark")).expect("there was one");
         let second = Server::start(config("second")).await.expect("its own now");
         second.stop().await;

@@ -1,9 +1,10 @@
 //! Caching of a shared blob store: each data directory holds copies of the files it needs. The
-//! truth is in the rows that name the files, and in the blob store under their digests.
+//! source of truth is the rows that name the files, and the blob store, which holds them under
+//! their digests.
 //!
 //! A worker fetches a capture and the earlier files of its job, and publishes new files before it
 //! reports them. A replica fetches changed files before it answers a request. Without a blob store
-//! all this does nothing: the data directory holds the truth.
+//! all this does nothing: the data directory is the source of truth.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
@@ -30,7 +31,7 @@ const PAUSE: Duration = Duration::from_millis(20);
 /// Files by path, with metadata that changes when a file is written.
 type Look = BTreeMap<String, (u64, i64, i64, u64)>;
 
-/// Fetches the files of a job that have changed since the last fetch; nothing for a job that runs
+/// Fetches the files of a job that have changed since the last fetch; none for a job that runs
 /// here.
 ///
 /// # Errors
@@ -56,8 +57,8 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
     Ok(())
 }
 
-/// Makes a job's folder match the blob store before a worker starts or resumes the job: files that
-/// an earlier attempt left here without reporting them are removed.
+/// Makes a job's folder match the blob store before a worker starts or resumes the job: files left
+/// here by an earlier attempt that did not report them are removed.
 ///
 /// # Errors
 /// When the database, the blob store or the disk fails.
@@ -97,7 +98,7 @@ pub async fn fetch_thumbnails(app: &App, capture: &str) -> Result<()> {
     used_now(&folder).map_err(ServerError::io(&folder))
 }
 
-/// Fetches a capture, its photographs and all.
+/// Fetches a whole capture, including its photographs.
 ///
 /// # Errors
 /// When the database, the blob store or the disk fails.
@@ -134,7 +135,7 @@ async fn bring(
     Ok(())
 }
 
-/// Records in a folder's modification time that it was used now.
+/// Updates a folder's modification time to record its use.
 fn used_now(folder: &Path) -> io::Result<()> {
     match fs::File::open(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -191,13 +192,13 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file of a job's folder is for others: what renders and processes leave is not.
+/// Whether a file of a job's folder is shared: files left by renders and processes are not.
 pub fn is_kept(path: &str) -> bool {
     path == "log.txt" || path.starts_with("output/")
 }
 
-/// Hard-links the shared files of a folder into another: a running job replaces its files and
-/// leaves these unchanged.
+/// Hard-links the shared files of a folder into another: a running job replaces its files, which
+/// leaves the links unchanged.
 async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
     let names: Vec<String> = look.keys().cloned().collect();
     let (from, to) = (folder.to_owned(), still.to_owned());
@@ -214,7 +215,7 @@ async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
                 linked => linked?,
             }
         }
-        // It grows all the time, and no other file depends on it.
+        // The log grows all the time, and no other file depends on it.
         match fs::copy(from.join("log.txt"), to.join("log.txt")) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -223,8 +224,8 @@ async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
     held.await.unwrap_or_else(|error| Err(io::Error::other(error))).map_err(ServerError::io(folder))
 }
 
-/// Scans the metadata of a folder's files, except those that change all the time and say nothing
-/// about others.
+/// Scans the metadata of a folder's files, except those that change all the time and on which no
+/// other file depends.
 async fn look(folder: &Path) -> Result<Look> {
     let root = folder.to_owned();
     let look = tokio::task::spawn_blocking(move || {

@@ -15,7 +15,7 @@ use prometheus_client::registry::{Registry, Unit};
 /// uploads minutes.
 const TIMES: [f64; 9] = [0.002, 0.01, 0.05, 0.2, 1.0, 5.0, 30.0, 120.0, 600.0];
 
-/// The labels of a request.
+/// The labels of an answered request.
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 pub struct Answered {
     /// GET, POST and so on.
@@ -37,16 +37,16 @@ struct Worker {
     host: String,
 }
 
-/// Values that are read on each request for metrics.
+/// Values that are read at each request for metrics.
 #[derive(Debug, Default)]
 pub struct Now<'a> {
     /// Jobs of each state.
     pub jobs: Vec<(&'a str, i64)>,
     /// Free bytes of the data directory.
     pub free_bytes: Option<u64>,
-    /// Seconds since the least recently extended lease was extended; 0 if no job runs.
+    /// The longest time since a lease was extended, in seconds; 0 if no job runs.
     pub lease_age: f64,
-    /// Seconds that the oldest queued job has waited; 0 if none waits.
+    /// Waiting time of the oldest queued job in seconds; 0 if none waits.
     pub waiting: f64,
     /// Workers of each state.
     pub workers: Vec<(&'a str, i64)>,
@@ -146,9 +146,9 @@ impl Telemetry {
             let worker = Worker { worker: worker.clone(), host: host.clone() };
             self.steps.get_or_create(&worker).set(*speed);
         }
-        let mut told = String::new();
-        match text::encode(&mut told, &self.registry) {
-            Ok(()) => told,
+        let mut metrics = String::new();
+        match text::encode(&mut metrics, &self.registry) {
+            Ok(()) => metrics,
             // Writing to a string cannot fail.
             Err(fmt::Error) => String::new(),
         }
@@ -167,7 +167,7 @@ mod tests {
         for _ in 0..3 {
             telemetry.answered(&answered, Duration::from_millis(7));
         }
-        let told = telemetry.text(&Now {
+        let metrics = telemetry.text(&Now {
             jobs: vec![("queued", 2), ("running", 0)],
             free_bytes: Some(5),
             waiting: 1.5,
@@ -183,8 +183,8 @@ mod tests {
             "fled_queue_wait_seconds 1.5",
             "fled_worker_steps_per_second{worker=\"w\",host=\"machine\"} 12.5",
         ] {
-            assert!(told.lines().any(|told| told == line), "{line}\n{told}");
+            assert!(metrics.lines().any(|sample| sample == line), "{line}\n{metrics}");
         }
-        assert!(told.ends_with("# EOF\n"));
+        assert!(metrics.ends_with("# EOF\n"));
     }
 }

@@ -152,7 +152,7 @@ pub fn new_id() -> Result<String, TokenError> {
 /// Expiry of a token created now, in milliseconds since 1970.
 ///
 /// # Errors
-/// [`TokenError::BadExpiry`] if `text` is no duration into the future.
+/// [`TokenError::BadExpiry`] if `text` is not a duration into the future.
 pub fn expiry(text: &str) -> Result<i64, TokenError> {
     let bad = || TokenError::BadExpiry(text.to_owned());
     let span: Span = text.parse().map_err(|_| bad())?;

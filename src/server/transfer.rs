@@ -1,4 +1,4 @@
-//! Data that moves: backups, another database, videos of earlier builds.
+//! Data transfers: backups, another database, videos of earlier builds.
 
 mod adoption;
 mod backup;

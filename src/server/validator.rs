@@ -1,7 +1,7 @@
 //! Upload validation, one process per upload.
 //!
-//! The decoded files are untrusted and may crash a decoder, keep it busy forever or exhaust its
-//! memory. In a process of its own, with limits, that fails one upload and not the service.
+//! The files to decode are untrusted and may crash a decoder, keep it busy forever or exhaust its
+//! memory. In a separate process with limits, such a file fails one upload and not the service.
 
 mod words;
 mod work;
@@ -28,7 +28,7 @@ pub use work::assess;
 /// Unit in which memory is lent, in bytes.
 const PIECE: u64 = 1 << 10;
 
-/// How long a process may take to end after it has closed its outputs.
+/// How long a process may take to end after closing its outputs.
 const LAST: Duration = Duration::from_secs(5);
 
 /// Why an upload could not be validated.
@@ -79,7 +79,7 @@ pub struct Validators {
 }
 
 impl Validators {
-    /// Starts no process before the first upload.
+    /// No process starts before the first upload.
     pub fn new(command: Vec<OsString>, limits: Limits) -> Self {
         let pieces = pieces(limits.max_decoding_bytes);
         Self {
@@ -91,7 +91,7 @@ impl Validators {
     }
 
     /// Validates the upload in `dir`. `turn` is held until the frames of its video are extracted.
-    /// Dropping the future kills the process, and then removes the folder.
+    /// Dropping the future kills the process and then removes the folder.
     ///
     /// # Errors
     /// [`AssessError`].
@@ -113,7 +113,7 @@ impl Validators {
             begun: Vec::new(),
             seen: Seen::default(),
         }
-        .hold()
+        .converse()
         .await
     }
 }
@@ -126,13 +126,13 @@ struct Conversation<'a> {
     memory: Option<SemaphorePermit<'a>>,
     /// The deadline.
     until: Instant,
-    /// The photographs in progress, and since when.
+    /// The photographs in progress, each with its start time.
     begun: Vec<(String, Instant)>,
     seen: Seen,
 }
 
 impl Conversation<'_> {
-    async fn hold(mut self) -> Result<Seen, AssessError> {
+    async fn converse(mut self) -> Result<Seen, AssessError> {
         loop {
             let patience = self.validators.limits.photograph;
             let oldest = self.begun.iter().map(|(_, since)| *since + patience).min();
@@ -155,8 +155,8 @@ impl Conversation<'_> {
     /// Handles a reply; returns the result if it was the last.
     async fn take(&mut self, reply: AssessReply) -> Result<Option<Seen>, AssessError> {
         match reply {
-            AssessReply::Filmed(told) => {
-                self.seen.filmed = Some(told);
+            AssessReply::Filmed(report) => {
+                self.seen.filmed = Some(report);
                 self.turn = None;
             }
             AssessReply::NotFilmed(fault) => return Err(AssessError::Video(fault)),
@@ -182,14 +182,14 @@ impl Conversation<'_> {
         Ok(None)
     }
 
-    /// Lends memory in order of requests. A request for more than the total gets all of it.
+    /// Lends memory in order of requests. A request for more than the total gets the total.
     async fn lend(&mut self, bytes: u64) -> Result<(), AssessError> {
         let limits = &self.validators.limits;
         let asked = Instant::now();
         let wanted = pieces(bytes.min(limits.max_decoding_bytes));
         let lent = self.validators.memory.acquire_many(wanted);
         self.memory = Some(lent.await.map_err(closed)?);
-        // Time spent waiting for others does not count.
+        // Time spent waiting for memory does not count.
         self.until += asked.elapsed();
         self.process.send(&(u64::from(wanted) * PIECE).to_string()).await
     }
@@ -234,7 +234,7 @@ impl Process {
         let Some(stdin) = stdin else {
             return Err(process_error("takes no input"));
         };
-        // If the process is dead, reading its output reports it.
+        // If the process is dead, reading its output reports that.
         let _ = stdin.write_all(format!("{line}\n").as_bytes()).await;
         let _ = stdin.flush().await;
         Ok(())
@@ -272,7 +272,7 @@ impl Drop for Process {
         };
         runtime.spawn(async move {
             group.stop(Duration::ZERO).await;
-            // Only now does no process write there any more.
+            // Only now does no process write to the folder any more.
             drop(dir);
         });
     }

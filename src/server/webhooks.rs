@@ -1,4 +1,4 @@
-//! Webhooks: notifies other programs of jobs, according to Standard Webhooks 1.0.
+//! Webhooks: notify other programs of jobs, according to Standard Webhooks 1.0.
 //!
 //! The transaction of an event inserts its deliveries into the database. This module sends each of
 //! them, with retries for over a day, until it is acknowledged. A delivery may arrive twice, always
@@ -30,18 +30,18 @@ pub const USUAL: [&str; 4] = ["job.succeeded", "job.failed", "job.cancelled", "r
 const WAITS: [i64; 7] = [5, 300, 1_800, 7_200, 18_000, 36_000, 36_000];
 /// Maximum deliveries sent at a time.
 const AT_ONCE: usize = 32;
-/// Maximum time between two queries of the database: a clock may have been set.
+/// Maximum time between two queries of the database: a clock may have been reset.
 const LOOK_EVERY: Duration = Duration::from_secs(60);
 /// Pause after a database error.
 const AFTER_FAULT: Duration = Duration::from_secs(5);
 
 /// Sends due deliveries until the server stops. Only one delivery per webhook is in flight, so a
-/// slow endpoint delays only its own.
+/// slow endpoint delays only its own deliveries.
 pub async fn keep_telling(app: Arc<App>) {
     let mut changes = app.store.changes();
-    let mut on_their_way = OnTheirWay::new(AFTER_FAULT);
+    let mut in_flight = InFlight::new(AFTER_FAULT);
     loop {
-        let wait = match send_due(&app, &mut on_their_way).await {
+        let wait = match send_due(&app, &mut in_flight).await {
             Ok(wait) => wait,
             Err(error) => {
                 tracing::warn!(%error, "cannot look for webhook deliveries");
@@ -51,7 +51,7 @@ pub async fn keep_telling(app: Arc<App>) {
         tokio::select! {
             () = tokio::time::sleep(wait) => {}
             _ = changes.changed() => {}
-            Some(()) = on_their_way.one_ends() => {}
+            Some(()) = in_flight.next_ended() => {}
             // Deliveries in flight are sent again at the next start.
             () = app.shutdown.cancelled() => return,
         }
@@ -60,14 +60,14 @@ pub async fn keep_telling(app: Arc<App>) {
 
 /// The tasks of deliveries in flight, at most one per webhook.
 #[derive(Debug)]
-struct OnTheirWay {
+struct InFlight {
     tasks: JoinSet<()>,
     webhooks: HashMap<task::Id, String>,
-    /// How long a webhook whose delivery panicked has no other.
+    /// How long a webhook pauses after a delivery has panicked.
     pause: Duration,
 }
 
-impl OnTheirWay {
+impl InFlight {
     fn new(pause: Duration) -> Self {
         Self { tasks: JoinSet::new(), webhooks: HashMap::new(), pause }
     }
@@ -81,8 +81,8 @@ impl OnTheirWay {
         self.webhooks.values().cloned().collect()
     }
 
-    /// Waits until a task ends, whether well or by a panic; `None` if there is none. Cancel-safe.
-    async fn one_ends(&mut self) -> Option<()> {
+    /// Waits until a task returns or panics; `None` if there is none. Cancel-safe.
+    async fn next_ended(&mut self) -> Option<()> {
         let ended = self.tasks.join_next_with_id().await?;
         let id = ended.as_ref().map_or_else(JoinError::id, |(id, ())| *id);
         let webhook = self.webhooks.remove(&id);
@@ -96,20 +96,20 @@ impl OnTheirWay {
 }
 
 /// Starts due deliveries within the limit, and returns how long to wait for the next.
-async fn send_due(app: &Arc<App>, on_their_way: &mut OnTheirWay) -> crate::error::Result<Duration> {
-    let busy = on_their_way.busy();
+async fn send_due(app: &Arc<App>, in_flight: &mut InFlight) -> crate::error::Result<Duration> {
+    let busy = in_flight.busy();
     let room = AT_ONCE.saturating_sub(busy.len());
     if room == 0 {
         return Ok(LOOK_EVERY);
     }
     for (mut delivery, webhook) in app.store.due_deliveries(&busy, room as u32).await? {
-        // Other processes that share the database find it due too.
+        // Other processes that share the database find the delivery due too.
         if !app.store.take_delivery(&mut delivery).await? {
             continue;
         }
-        on_their_way.begin(webhook.id.clone(), deliver(app.clone(), delivery, webhook));
+        in_flight.begin(webhook.id.clone(), deliver(app.clone(), delivery, webhook));
     }
-    let next = app.store.next_delivery(&on_their_way.busy()).await?;
+    let next = app.store.next_delivery(&in_flight.busy()).await?;
     let now = app.store.now().await?;
     let wait = next.map_or(LOOK_EVERY, |next| {
         Duration::from_millis(u64::try_from(next - now).unwrap_or_default())
@@ -135,7 +135,7 @@ async fn deliver(app: Arc<App>, delivery: DeliveryRow, webhook: WebhookRow) {
     }
 }
 
-/// The outcome of an attempt after `attempts` others; one that panics has failed.
+/// The outcome of an attempt after `attempts` others; a panic counts as a failure.
 async fn outcome(attempts: u32, attempt: impl Future<Output = Tried> + Send + 'static) -> Tried {
     tokio::spawn(attempt).await.unwrap_or_else(|error| {
         tracing::error!(%error, "an attempt at a webhook's delivery panicked");
@@ -199,15 +199,15 @@ mod tests {
 
     #[tokio::test]
     async fn a_panic_does_not_block_its_webhook() {
-        let mut on_their_way = OnTheirWay::new(Duration::from_millis(1));
-        on_their_way.begin("a".to_owned(), std::future::pending());
-        on_their_way.begin("b".to_owned(), async { panic!("a fault of this server") });
+        let mut in_flight = InFlight::new(Duration::from_millis(1));
+        in_flight.begin("a".to_owned(), std::future::pending());
+        in_flight.begin("b".to_owned(), async { panic!("a fault of this server") });
         let minute = Duration::from_secs(60);
         for what in ["the delivery", "the pause"] {
-            assert_eq!(on_their_way.busy().len(), 2, "before {what} ends");
-            let ended = tokio::time::timeout(minute, on_their_way.one_ends()).await;
+            assert_eq!(in_flight.busy().len(), 2, "before {what} ends");
+            let ended = tokio::time::timeout(minute, in_flight.next_ended()).await;
             assert_eq!(ended, Ok(Some(())), "{what}");
         }
-        assert_eq!(on_their_way.busy(), ["a"]);
+        assert_eq!(in_flight.busy(), ["a"]);
     }
 }

@@ -25,13 +25,13 @@ pub use orphans::kill_orphans;
 
 /// How often an idle worker polls a database file for due retries.
 const IDLE: Duration = Duration::from_millis(500);
-/// A worker that was not seen for so long goes from the list, milliseconds.
+/// A worker that was not seen for this long is removed from the list, milliseconds.
 const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
-/// After a fault of the database or the disk.
+/// Pause after a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
 
 /// Runs jobs of one kind until the server stops. Never gives up: a fault of the database or the
-/// disk is logged and tried again.
+/// disk is logged, and the operation is tried again.
 pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
     let mut was_full = false;
     let mut queue = app.store.queue();
@@ -50,11 +50,11 @@ pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
         }
         was_full = false;
         if kind == JobKind::Video && !is_installed(&app.config.ffmpeg) {
-            // Another process may make it, or somebody installs ffmpeg.
+            // Another process may make the video, or ffmpeg may be installed.
             pause(&app, idle).await;
             continue;
         }
-        // Before the look: what begins to wait meanwhile is looked for again.
+        // Before the query: a job that is queued during the query triggers another one.
         queue.mark_unchanged();
         match take(&app, kind, &turn).await {
             Ok(Some((claim, cancel))) => {
@@ -102,7 +102,7 @@ pub async fn keep_registered(app: Arc<App>) {
         if let Err(error) = register(draining).await {
             tracing::warn!(%error, "the list of workers is not up to date");
         }
-        // It stays there until its jobs have ended.
+        // The worker stays listed until its jobs have ended.
         if draining {
             return;
         }
@@ -116,7 +116,7 @@ async fn pause(app: &App, time: Duration) {
     }
 }
 
-/// Claims a job, and the notifier that stops it.
+/// Claims a job. Returns the claim and the notifier that stops the job.
 async fn take(app: &App, kind: JobKind, turn: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
     let _alone = app.running.claiming().await;
     let released = release_expired(app).await?;
@@ -137,8 +137,8 @@ async fn take(app: &App, kind: JobKind, turn: &str) -> Result<Option<(Claim, Arc
     }))
 }
 
-/// Queues again the jobs whose worker is dead, frozen or cut off, where workers share a database.
-/// With SQLite there is one process: its jobs run even if their leases have expired.
+/// Queues again the jobs whose worker is dead, frozen or cut off, if workers share a database. With
+/// SQLite there is only one process: its jobs run on even if their leases have expired.
 async fn release_expired(app: &App) -> Result<Vec<String>> {
     match app.store.engine() {
         Engine::Sqlite => Ok(Vec::new()),
@@ -149,8 +149,8 @@ async fn release_expired(app: &App) -> Result<Vec<String>> {
     }
 }
 
-/// A video may be deleted while it is made, alone or with its job: its process may have written
-/// since. Returns whether it was.
+/// Removes the files of a video that was deleted while it was made, alone or with its job: its
+/// process may have written since. Returns whether the video was deleted.
 async fn remove_if_deleted(app: &App, id: &str) -> bool {
     let is_deleted = matches!(app.store.files_version(id).await, Ok(None));
     if is_deleted {
@@ -159,7 +159,7 @@ async fn remove_if_deleted(app: &App, id: &str) -> bool {
     is_deleted
 }
 
-/// Whether a program is there, by its path or on `PATH`.
+/// Whether a program exists at its path or on `PATH`.
 pub fn is_installed(program: &Path) -> bool {
     if program.components().nth(1).is_some() {
         return program.is_file();
@@ -197,7 +197,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
 }
 
 /// An error message without paths, which only the server's log may contain.
-fn told(error: &ServerError) -> String {
+fn redacted(error: &ServerError) -> String {
     match error {
         ServerError::Io { source, .. } => format!("a file of the job: {source}"),
         ServerError::Database(_) => "the server's database failed".to_owned(),
@@ -212,7 +212,7 @@ async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Set
     let wait = app.limits.retry_wait_ms(ErrorKind::Io, failures);
     let error = JobError {
         code: ErrorKind::Io.name().to_owned(),
-        detail: told(error),
+        detail: redacted(error),
         hint: advice(error).to_owned(),
     };
     Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
@@ -231,11 +231,12 @@ fn advice(error: &ServerError) -> &'static str {
     }
 }
 
-/// Settles a job whose server has died this many times in a row without progress. Running out of
-/// memory kills the server along with the job, so such a job must not restart forever.
+/// Decides how to settle a job whose server has died this many times in a row without progress.
+/// Running out of memory kills the server along with the job, so such a job must not restart
+/// forever.
 pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
     let again = deaths < limits.deaths_without_progress;
-    // Immediately after the first death, as after a manual restart.
+    // At once after the first death, as after a manual restart.
     let wait = match deaths {
         0 | 1 => 0,
         _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),

@@ -33,9 +33,9 @@ async fn each_kind(test: impl AsyncFn(Blobs, &Path)) {
 }
 
 #[tokio::test]
-async fn files_come_back_as_they_were() {
+async fn fetched_files_equal_the_stored_ones() {
     each_kind(async |blobs, _| {
-        // Nothing, little, around one chunk, and around the largest that fits into one request.
+        // Empty, small, around one chunk, and around the largest size that fits into one request.
         for bytes in [0, 1, (1 << 20) - 1, 1 << 20, 16 << 20, (16 << 20) + 1] {
             round_trip(&blobs, bytes).await;
         }
@@ -44,7 +44,7 @@ async fn files_come_back_as_they_were() {
 }
 
 #[tokio::test]
-async fn large_files_go_in_parts() {
+async fn large_files_are_sent_in_parts() {
     let (_dir, blobs) = directory();
     round_trip(&blobs, 40 << 20).await;
     let server = Server::start();
@@ -62,7 +62,7 @@ async fn the_last_written_mark_is_read() {
             blobs.set_mark(mark).await.unwrap();
             assert_eq!(blobs.mark().await.unwrap().as_deref(), Some(mark));
         }
-        // It is neither a blob nor the remains of an upload.
+        // The mark is neither a blob nor the remains of an upload.
         assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
         assert!(blobs.is_empty().await.unwrap());
         assert_eq!(blobs.delete_unfinished(Duration::ZERO).await.unwrap(), 0);
@@ -94,7 +94,7 @@ async fn only_old_blobs_are_listed() {
         let new = blobs.put_bytes(b"new".to_vec()).await.unwrap();
         set_age(&object(objects, &old), 25 * HOUR);
         set_age(&object(objects, &new), 23 * HOUR);
-        // Neither is a blob: a name that is no digest, and a digest in the wrong folder.
+        // Neither is a blob: a name that is not a digest, and a digest in the wrong folder.
         let folder = object(objects, &old);
         let folder = folder.parent().unwrap();
         for stray in [folder.join("notes"), folder.join("0".repeat(64))] {

@@ -68,7 +68,7 @@ async fn a_blob_damaged_in_transit_is_fetched_again_once() {
         server.misbehave_first(usize::MAX, "GET ", fault);
         let before = server.count("GET ");
         expect_refused(&blobs, &blob).await;
-        // Two fetches, each tried twice.
+        // Two fetches, each attempted twice.
         assert_eq!(server.count("GET ") - before, 4);
     }
 }

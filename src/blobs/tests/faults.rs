@@ -10,7 +10,7 @@ use crate::{BlobError, Blobs};
 const PATIENCE: Duration = Duration::from_secs(20);
 const MIB: usize = 1 << 20;
 
-/// With this size every attempt to fetch meets one fault.
+/// At this size, every attempt to fetch meets one fault.
 const SIZE: usize = 3 * MIB;
 
 #[tokio::test]
@@ -50,7 +50,7 @@ async fn a_cut_transfer_is_resumed() {
 async fn a_broken_transfer_is_restarted() {
     let server = Server::start();
     let blob = server.blobs(PATIENCE).put_bytes(noise(10, SIZE)).await;
-    // Without patience `object_store` does not resume.
+    // With zero patience, `object_store` does not resume.
     let (blob, blobs) = (blob.unwrap(), server.hasty_blobs(Duration::ZERO));
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");

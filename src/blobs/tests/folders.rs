@@ -19,7 +19,7 @@ const GET: &str = "GET /bucket/some/prefix/blobs/";
 fn write(folder: &Path, path: &str, bytes: &[u8]) {
     let file = folder.join(path);
     fs::create_dir_all(file.parent().unwrap()).unwrap();
-    // Like jobs do.
+    // As jobs do.
     let temporary = file.with_extension("tmp");
     fs::write(&temporary, bytes).unwrap();
     fs::rename(&temporary, &file).unwrap();
@@ -30,7 +30,7 @@ fn kept(path: &str, bytes: &[u8]) -> Kept {
     Kept { path: path.to_owned(), blob: Blob::of(bytes) }
 }
 
-/// A folder with the database's knowledge of it.
+/// A folder, with the database's record of it.
 struct Folder {
     dir: TempDir,
     known: HashMap<String, Blob>,
@@ -80,12 +80,12 @@ async fn push_finds_new_changed_and_removed_files() {
     assert_eq!((pushed.gone.len(), pushed.skipped), (0, 0));
     assert_eq!(server.count(PUT), 3);
 
-    // Nothing has changed: no request at all.
+    // Nothing has changed, so there is no request at all.
     let before = server.count("");
     assert_eq!(folder.push(&blobs).await, Pushed::default());
     assert_eq!(server.count(""), before);
 
-    // The same size and the same time.
+    // With the same size and the same time.
     let modified = path.join("a").metadata().unwrap().modified().unwrap();
     write(&path, "a", b"A");
     let replaced = fs::File::open(path.join("a")).unwrap();
@@ -240,7 +240,7 @@ async fn pull_fetches_only_different_files() {
     assert_eq!(fs::read(path.join("b/c")).unwrap(), b"c");
     assert_eq!(fs::read(path.join("b/d")).unwrap(), b"");
 
-    // A push finds what was pulled.
+    // A push recognises the pulled files.
     copy.known = all[..3].iter().map(|k| (k.path.clone(), k.blob.clone())).collect();
     assert_eq!(copy.push(&blobs).await, Pushed::default());
 }
@@ -315,7 +315,7 @@ async fn pull_leaves_no_partial_file() {
     server.misbehave_first(100, "GET ", Fault::CutAfter(2 << 20));
     let failed = pull(&blobs, &all, &path, None, &mut folder.seen).await;
     assert!(matches!(failed, Err(BlobError::BrokenOff { .. })));
-    // The other transfer may still write in a thread of its own, which then removes its file.
+    // The other transfer may still be writing in its own thread, which then removes its file.
     let begun = Instant::now();
     while names(&path) != ["a"] && begun.elapsed() < Duration::from_secs(10) {
         tokio::time::sleep(Duration::from_millis(10)).await;

@@ -1,4 +1,4 @@
-//! When content is sent, and when not.
+//! When content is sent, and when it is not.
 
 use std::fs::{self, File};
 use std::io::{Seek, Write};
@@ -43,7 +43,7 @@ async fn a_blob_near_its_deletion_is_sent_again() {
 }
 
 #[tokio::test]
-async fn an_object_of_another_size_is_replaced() {
+async fn an_object_of_the_wrong_size_is_replaced() {
     let (dir, blobs) = directory();
     let blob = blobs.put_bytes(b"right".to_vec()).await.unwrap();
     fs::write(object(dir.path(), &blob), "wrong one").unwrap();
@@ -123,7 +123,7 @@ async fn no_content_has_a_wrong_digest() {
             }
             stop.store(true, Ordering::Relaxed);
         });
-        // At rest again, it is accepted.
+        // Once it is no longer written to, it is accepted.
         blobs.put(&path).await.unwrap();
     }
     assert!(changed > 0, "the files were never caught, but {kept} kept");

@@ -1,4 +1,4 @@
-//! An S3 server that misbehaves on request, and stores in it.
+//! An S3 server that misbehaves on request, and stores on it.
 
 use std::ops::Deref;
 use std::path::PathBuf;

@@ -1,4 +1,4 @@
-//! `fled fetch`: downloads a job's files, each complete and verified against its digest.
+//! `fled fetch`: downloads a job's files, each of them complete and verified against its digest.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -68,7 +68,7 @@ pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<
         bar.set_message(file.name.clone());
         let to = out.join(inside(&file.name)?);
         if digest(&to).map_err(at(&to))?.as_deref() != Some(&file.sha256) {
-            bring(remote, job, file, &to)?;
+            fetch_file(remote, job, file, &to)?;
             fetched += 1;
         }
         bar.inc(file.bytes);
@@ -91,16 +91,17 @@ fn inside(name: &str) -> Result<PathBuf, Failure> {
 }
 
 /// Fetches one file, resuming an earlier download.
-fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), Failure> {
+fn fetch_file(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), Failure> {
     let parent = to.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(parent).map_err(at(parent))?;
     let mut part = to.as_os_str().to_owned();
     part.push(".part");
     let part = PathBuf::from(part);
     let address = format!("/v1/jobs/{job}/artifacts/{}", escaped(&file.name));
-    // The remains of an earlier download may be of another result: then fetch all of it, once.
+    // The remains of an earlier download may belong to another result: then download the whole
+    // file, once.
     for _ in 0..2 {
-        remote.persist(|| go_on(remote, &address, file.bytes, &part))?;
+        remote.persist(|| resume(remote, &address, file.bytes, &part))?;
         if digest(&part).map_err(at(&part))?.as_deref() == Some(&file.sha256) {
             return fs::rename(&part, to).map_err(at(to));
         }
@@ -111,7 +112,7 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
 }
 
 /// Downloads the missing rest of `part`.
-fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), Fault> {
+fn resume(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), Fault> {
     let here = |error| Fault::Refused(at(part)(error));
     let mut file = OpenOptions::new().create(true).append(true).open(part).map_err(here)?;
     let have = file.metadata().map_err(here)?.len();
@@ -127,19 +128,19 @@ fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), 
     // One byte more than expected: reading fails at the limit.
     let body = response.into_body().into_with_config();
     let mut body = body.limit(bytes + 1).reader();
-    let mut came = file.metadata().map_err(here)?.len();
+    let mut received = file.metadata().map_err(here)?.len();
     let mut buffer = vec![0; 1 << 16];
-    let lost = |why: String, came: u64| Fault::Lost(why, came > have + MUCH);
+    let lost = |why: String, received: u64| Fault::Lost(why, received > have + MUCH);
     loop {
         match body.read(&mut buffer) {
             Ok(0) => break,
             Ok(read) => file.write_all(&buffer[..read]).map_err(here)?,
-            Err(error) => return Err(lost(error.to_string(), came)),
+            Err(error) => return Err(lost(error.to_string(), received)),
         }
-        came = file.metadata().map_err(here)?.len();
+        received = file.metadata().map_err(here)?.len();
     }
-    if came < bytes {
-        return Err(lost(format!("only {came} of {bytes} bytes arrived"), came));
+    if received < bytes {
+        return Err(lost(format!("only {received} of {bytes} bytes arrived"), received));
     }
     Ok(())
 }

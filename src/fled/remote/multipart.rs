@@ -1,4 +1,4 @@
-//! A multipart body of files, read as it is sent.
+//! A multipart body of files, read while it is sent.
 
 use std::fs::File;
 use std::io::{self, Cursor, Read};
@@ -6,19 +6,19 @@ use std::path::{Path, PathBuf};
 
 use crate::failure::{Failure, io as at};
 
-/// The boundary between parts. Long and unusual enough to occur in no photograph.
+/// The boundary between parts, long and unusual enough to occur in no photograph.
 const BOUNDARY: &str = "fled-7Qm2w9kX4tR8vB1nL5cZ-of-parts";
 
 /// A form of text fields, then files as parts named `images`.
 pub struct Form {
     parts: Vec<(Vec<u8>, Option<PathBuf>)>,
     bytes: u64,
-    /// The same for the same names and contents.
+    /// Equal for equal names and contents.
     pub digest: blake3::Hash,
 }
 
 impl Form {
-    /// A form for a folder, with all files that are not hidden, or for one file, such as a zip.
+    /// A form for a folder, with all files that are not hidden, or for one file, such as a ZIP.
     ///
     /// # Errors
     /// [`Failure`] if a file cannot be read.
@@ -30,7 +30,7 @@ impl Form {
             form.push(&mut hasher, &format!("{head}\r\n\r\n{value}"), None)?;
         }
         for (name, path) in files(capture)? {
-            // Browsers escape names in this header in the same way.
+            // Browsers escape names in this header the same way.
             let name = name.replace('"', "%22").replace('\r', "%0D").replace('\n', "%0A");
             let head = format!("form-data; name=\"images\"; filename=\"{name}\"\r\n");
             let head = format!("{head}Content-Type: application/octet-stream\r\n\r\n");
@@ -72,7 +72,7 @@ impl Form {
         format!("multipart/form-data; boundary={BOUNDARY}")
     }
 
-    /// The body from its beginning.
+    /// The body from the start.
     pub fn body(&self) -> impl Read + '_ {
         FormBody { parts: self.parts.iter(), now: Box::new(io::empty()) }
     }

@@ -56,8 +56,8 @@ struct Accepted {
     id: String,
 }
 
-/// Sends the capture, watches the job and fetches its result. The same command resumes one that was
-/// cut off: the same capture and options give the same job.
+/// Sends the capture, watches the job and fetches its result. Repeating the command resumes an
+/// interrupted one: the same capture and options give the same job.
 ///
 /// # Errors
 /// [`Failure`] with the service's own message.
@@ -111,7 +111,7 @@ fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
     let request = Request::post(remote.url("/v1/jobs"))
         .header(header::CONTENT_TYPE, Form::content_type())
         .header(header::CONTENT_LENGTH, form.bytes())
-        // A refusal then arrives before the body is sent.
+        // With this header, a refusal arrives before the body is sent.
         .header(header::EXPECT, "100-continue")
         .header("idempotency-key", key);
     let answer = remote.send(&remote.patient, request, SendBody::from_reader(&mut body));

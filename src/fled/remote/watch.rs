@@ -11,7 +11,7 @@ use super::Remote;
 use crate::failure::Failure;
 use crate::progress::{name, overall_bar, round_lines, show_progress};
 
-/// Time between two requests for the job.
+/// Pause between two requests for the job.
 const PERIOD: Duration = Duration::from_secs(1);
 
 /// Arguments of `fled watch`.
@@ -23,7 +23,7 @@ pub struct Args {
     remote: super::Args,
 }
 
-/// The fields that are shown of a job.
+/// The displayed fields of a job.
 #[derive(Deserialize)]
 struct Job {
     name: String,
@@ -77,10 +77,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 /// Like [`main`].
 pub fn watch(remote: &Remote, id: &str) -> Result<(), Failure> {
     let screen = Screen::new();
-    let mut told = Told::default();
+    let mut shown = Shown::default();
     loop {
         let job: Job = remote.json(&format!("/v1/jobs/{id}"))?;
-        told.news(&job, &screen);
+        shown.update(&job, &screen);
         let left = job.eta_seconds.filter(|_| job.state == "running");
         show_progress(&screen.bar, job.progress, left);
         screen.bar.set_message(doing(&job));
@@ -136,19 +136,19 @@ impl Screen {
     }
 }
 
-/// The state already shown.
+/// The state shown so far.
 #[derive(Default)]
-struct Told {
+struct Shown {
     state: String,
     attempts: u32,
     stages: usize,
     warnings: usize,
 }
 
-impl Told {
+impl Shown {
     /// Shows what has changed.
-    fn news(&mut self, job: &Job, screen: &Screen) {
-        // A new attempt may have fewer of both.
+    fn update(&mut self, job: &Job, screen: &Screen) {
+        // A new attempt may have fewer stages and warnings.
         for stage in job.stages.iter().skip(self.stages) {
             let name = name(&stage.stage, stage.round);
             screen.line(&format!("{name} done in {:.1} s", stage.seconds));

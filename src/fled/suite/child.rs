@@ -1,4 +1,4 @@
-//! Runs this program as a child process: a crash of a graphics driver ends one run and not the
+//! Runs this program as a child process: a crash of a graphics driver ends one run but not the
 //! suite.
 
 use std::ffi::{OsStr, OsString};
@@ -16,7 +16,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use crate::failure::Failure;
 use crate::tools;
 
-/// Time between two checks of a child: runs take minutes.
+/// Time between two checks of a child; runs take minutes.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// This program, with the tools that its children use.
@@ -36,29 +36,29 @@ impl Program {
         Ok(Self { path: here, environment: tools.environment() })
     }
 
-    /// The path of its file.
+    /// The path of the program's file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Runs it with these arguments and parses its JSON output. Its exit code, which reports
-    /// whether all is well, is ignored.
+    /// Runs the program with these arguments and parses its JSON output. Its exit code, which
+    /// reports whether all is well, is ignored.
     ///
     /// # Errors
-    /// [`SuiteError`] if it cannot be started or prints anything else.
+    /// [`SuiteError`] if the program cannot be started or prints anything else.
     pub fn asked(&self, words: &[&str]) -> Result<serde_json::Value, SuiteError> {
         let output = self.command(words).stdout(Stdio::piped()).output();
         let output = output.map_err(SuiteError::io(&self.path))?;
         serde_json::from_slice(&output.stdout).map_err(|error| {
-            let said = String::from_utf8_lossy(&output.stderr);
-            SuiteError::Child(format!("fled {}: {error}: {said}", words.join(" ")))
+            let message = String::from_utf8_lossy(&output.stderr);
+            SuiteError::Child(format!("fled {}: {error}: {message}", words.join(" ")))
         })
     }
 
-    /// Runs it with these arguments to its end; if it fails, returns its last error line.
+    /// Runs the program with these arguments to its end; if it fails, returns its last error line.
     ///
     /// # Errors
-    /// [`SuiteError::Cancelled`], with the child gone, or [`SuiteError::Io`].
+    /// [`SuiteError::Cancelled`] once the child has gone, or [`SuiteError::Io`].
     pub fn run(
         &self,
         words: &[OsString],
@@ -95,15 +95,15 @@ impl Program {
 
 /// Waits for the end of a child, and terminates it on cancellation.
 fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
-    let mut asked = false;
+    let mut signalled = false;
     loop {
         if let Some(status) = child.try_wait()? {
             return Ok(status);
         }
-        if cancel.check().is_err() && !asked {
-            asked = true;
+        if cancel.check().is_err() && !signalled {
+            signalled = true;
             if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
-                // It may have just ended.
+                // The child may just have ended.
                 let _ = kill_process(pid, Signal::TERM);
             }
         }
@@ -123,9 +123,9 @@ fn last_error(errors: impl Read) -> String {
     let (mut last, mut named) = (String::new(), None);
     for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
         let line = String::from_utf8_lossy(&line).trim().to_owned();
-        let said = line.strip_prefix("fled: ");
-        if let Some(said) = said.or_else(|| line.strip_prefix("error: ")) {
-            named = Some(said.to_owned());
+        let message = line.strip_prefix("fled: ");
+        if let Some(message) = message.or_else(|| line.strip_prefix("error: ")) {
+            named = Some(message.to_owned());
         }
         if !line.is_empty() {
             last = line;
@@ -142,8 +142,8 @@ mod tests {
 
     #[test]
     fn the_last_error_line_is_found() {
-        let said = "   0.1 poses done\nfled: no poses\n      Take more photographs.\n\n";
-        assert_eq!(last_error(said.as_bytes()), "no poses");
+        let message = "   0.1 poses done\nfled: no poses\n      Take more photographs.\n\n";
+        assert_eq!(last_error(message.as_bytes()), "no poses");
         let wrong_use = "error: unexpected argument\n\nFor more information, try '--help'.\n";
         assert_eq!(last_error(wrong_use.as_bytes()), "unexpected argument");
         assert_eq!(last_error(&b"a\nKilled\n"[..]), "Killed");

@@ -14,8 +14,8 @@ use fled_core::splat::rasterize::SplatCounts;
 
 /// Steps before the measurement, which compile kernels and grow buffers.
 const WARM_UP: u32 = 3;
-/// Least number of steps, since fewer have no meaningful median. A step that alone exceeds the
-/// budget runs once.
+/// Minimum number of steps, since fewer have no meaningful median. If a single step exceeds the
+/// budget, it runs once.
 const LEAST: u32 = 3;
 
 /// The measurements of one case.
@@ -23,7 +23,7 @@ const LEAST: u32 = 3;
 pub(super) struct Measured {
     /// Number of steps without timestamps.
     pub(super) steps: u32,
-    /// Seconds of all of them.
+    /// Total seconds of these steps.
     pub(super) seconds: f64,
     /// `None` if the device has no timestamps.
     pub(super) profiled: Option<Profiled>,
@@ -39,7 +39,7 @@ pub(super) struct Profiled {
     pub(super) wall: f64,
     /// Seconds of all kernels per step.
     pub(super) kernels: f64,
-    /// Name, seconds and dispatches per step; the longest first.
+    /// Name, seconds and dispatches per step, the slowest first.
     pub(super) rows: Vec<(&'static str, f64, u64)>,
 }
 
@@ -118,8 +118,8 @@ fn profile(
     Ok(Profiled { steps, wall: median(walls), kernels: median(sums), rows: rows(kernels, steps) })
 }
 
-/// The medians of every kernel, the longest first. A kernel that does not run in a step counts as 0
-/// there.
+/// The medians of every kernel, the slowest first. A kernel that does not run in a step counts as 0
+/// for that step.
 fn rows(
     kernels: BTreeMap<&'static str, Vec<(f64, u64)>>,
     steps: u32,

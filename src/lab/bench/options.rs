@@ -2,11 +2,12 @@
 
 use serde::Serialize;
 
-/// Most steps of a case, so that warm-up and both halves of a case are within the round.
+/// Maximum number of steps in a case, so that warm-up and both halves of a case are within the
+/// round.
 pub const MOST_STEPS: u32 = 2_000;
 
-/// The length of each half of a case, without and with timestamps. The first limit to be reached
-/// ends it, after at least three steps, or one if that exceeds the seconds.
+/// The length of each half of a case, without and with timestamps. The first limit reached ends it,
+/// after at least three steps, or after one step if that exceeds the seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Budget {
     /// Seconds.

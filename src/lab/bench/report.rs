@@ -47,7 +47,7 @@ pub struct Machine {
     pub backend: String,
     /// Kind of hardware.
     pub device_type: String,
-    /// Least and greatest number of invocations in a subgroup; `None` without subgroups.
+    /// Minimum and maximum number of invocations in a subgroup; `None` without subgroups.
     pub subgroup: Option<(u32, u32)>,
     /// Whether the device has timestamps for kernels.
     pub timestamps: bool,
@@ -70,7 +70,7 @@ pub struct Roofline {
 /// One case.
 #[derive(Clone, Debug, Serialize)]
 pub struct Case {
-    /// Name for people.
+    /// Name shown to users.
     pub name: String,
     /// `train`, `render`, `ssim` or `sort`.
     pub task: &'static str,
@@ -97,7 +97,7 @@ pub struct Case {
     pub kernel_milliseconds: Option<f64>,
     /// Peak bytes in buffers on the GPU; `None` on the processor.
     pub gpu_peak_bytes: Option<u64>,
-    /// Kernels, the longest first; empty on a device without timestamps.
+    /// Kernels, the slowest first; empty on a device without timestamps.
     pub kernels: Vec<KernelRow>,
 }
 
@@ -112,9 +112,10 @@ pub struct KernelRow {
     pub share: f64,
     /// Dispatches per step.
     pub dispatches: u64,
-    /// Time as a multiple of that in which the roofline's copy kernel reads and writes a megabyte.
+    /// Time as a multiple of the time in which the roofline's copy kernel reads and writes a
+    /// megabyte.
     pub copies: f64,
-    /// Time as a multiple of that in which the roofline's arithmetic kernel does a million
+    /// Time as a multiple of the time in which the roofline's arithmetic kernel does a million
     /// operations.
     pub fmas: f64,
 }

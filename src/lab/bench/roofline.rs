@@ -1,4 +1,4 @@
-//! The device's limits: the highest arithmetic and bandwidth of a plain kernel.
+//! The device's limits: the peak arithmetic and bandwidth of a plain kernel.
 
 use std::time::Instant;
 
@@ -17,13 +17,13 @@ const COPY: Kernel =
 const FMAS: u64 = 24;
 /// Invocations of the arithmetic kernel, enough to fill the largest devices.
 const INVOCATIONS: usize = 1 << 18;
-/// Least seconds of the arithmetic kernel, far above the cost of a dispatch; it runs more rounds
+/// Minimum seconds of the arithmetic kernel, far above the cost of a dispatch; it runs more rounds
 /// until it takes that long.
 const LONG_ENOUGH: f64 = 4e-3;
 const MOST_ROUNDS: u32 = 1 << 16;
 /// Number of copied bytes, more than the caches of large devices hold.
 const COPIED: u64 = 128 << 20;
-/// Number of repetitions, whose median counts.
+/// Number of repetitions; the median counts.
 const REPEATS: usize = 7;
 
 /// Operations and bytes per second.

@@ -115,7 +115,7 @@ impl Sorting {
         let unsorted: Vec<u32> = (0..keys).map(|_| random.random()).collect();
         let unsorted: Buffer<u32> = gpu.upload("unsorted keys", &unsorted)?;
         let mut recorder = gpu.recorder();
-        // The same keys each time: sorted ones would have another access pattern.
+        // The same keys each time: sorted keys would have another access pattern.
         recorder.copy(&unsorted, sort.keys(), keys)?;
         sort.record(&mut recorder, &counters)?;
         Ok(Self { gpu: gpu.clone(), recording: recorder.finish() })

@@ -18,7 +18,7 @@ use fled_core::render::Renderer;
 
 /// Degree of the harmonics in synthetic scenes: the paper's.
 const SH_DEGREE: u32 = 3;
-/// Views of a synthetic scene: more would cost memory and change nothing.
+/// Number of views in a synthetic scene: more would cost memory and change nothing.
 const VIEWS: usize = 3;
 /// Half the sides of the box around the Gaussians, world units; the cameras are 3 in front of its
 /// middle.
@@ -31,7 +31,7 @@ const SHAKEN: f64 = 0.018;
 
 /// A scene with its training views.
 pub struct Workload {
-    /// Name for people.
+    /// Name shown to users.
     pub name: String,
     /// Training views.
     pub views: Vec<TrainingView>,
@@ -107,7 +107,7 @@ impl Workload {
         ))
     }
 
-    /// Shakes every view along its own line, so that there is a shake to estimate.
+    /// Shakes every view along a line of its own, so that there is a shake to estimate.
     pub fn shake(&mut self) {
         for (index, view) in self.views.iter_mut().enumerate() {
             let angle = 1.0 + 2.0 * index as f64;

@@ -5,11 +5,12 @@ use glam::DVec3;
 use super::subject::Subject;
 use fled_core::camera::Camera;
 
-/// Least ratio of the longest axis to the middle one.
+/// Minimum ratio of the longest axis to the middle one.
 const ELONGATION: f32 = 10.0;
-/// Least length in the nearest view that shows it, px, two standard deviations to each side.
+/// Minimum length in the nearest view that shows the Gaussian, px, two standard deviations to each
+/// side.
 const LEAST_PX: f64 = 5.0;
-/// Least opacity of a visible one.
+/// Minimum opacity of a visible Gaussian.
 const LEAST_OPACITY: f32 = 0.05;
 
 /// Number of elongated Gaussians in a scene.

@@ -63,7 +63,7 @@ pub enum EvaluationError {
     /// The LPIPS network failed.
     #[error("LPIPS: {0}")]
     Lpips(String),
-    /// Reading photographs or poses failed, or rendering did.
+    /// Reading photographs or poses, or rendering, failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
 }

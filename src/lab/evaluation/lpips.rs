@@ -1,4 +1,4 @@
-//! LPIPS by a network that the user provides.
+//! LPIPS with a network provided by the user.
 
 use std::path::Path;
 
@@ -33,7 +33,7 @@ impl Lpips {
         })
     }
 
-    /// SHA-256 of the network, its weights included.
+    /// SHA-256 of the network, including its weights.
     pub fn checksum(&self) -> &str {
         &self.checksum
     }

@@ -61,7 +61,7 @@ fn encoded(image: &Image) -> Result<Vec<u8>, PipelineError> {
     image.encode(EncodeFormat::Jpeg(92)).map_err(unencodable)
 }
 
-/// One line per test view, with all of its scores.
+/// One line per test view, with all its scores.
 pub fn csv(evaluation: &Evaluation) -> String {
     let columns = ["psnr", "psnr_cc", "psnr_fine", "ssim", "lpips_squeeze"];
     let ways = ["mapped_all", "mapped_seen", "registered_all", "registered_seen"];
@@ -148,8 +148,8 @@ fn worst_first(evaluation: &Evaluation) -> Vec<&TestView> {
     views
 }
 
-/// One row per test view: the nearest training view dark and brightened, the render, the truth.
-/// Names come from fled and hold only letters, digits, `-` and `_`.
+/// One row per test view: the nearest training view dark and brightened, the render, and the ground
+/// truth. The names come from fled and contain only letters, digits, `-` and `_`.
 fn page(evaluation: &Evaluation) -> String {
     let mut text = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
                     <title>Evaluation</title><style>body{background:#111;color:#ddd;font:15px \

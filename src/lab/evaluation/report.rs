@@ -3,20 +3,20 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// The quality of a run's scene at the cameras of sharp photographs that it did not train on.
+/// The quality of a run's scene at the cameras of sharp photographs that it was not trained on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evaluation {
-    /// Views that trained the scene.
+    /// Number of training views.
     pub training_views: usize,
     /// Training views with a camera in the truth; they connect the two worlds.
     pub tied_views: usize,
     /// Distance of these cameras from the truth's after the alignment: root mean square, as a share
     /// of the cameras' extent.
     pub camera_error: f64,
-    /// Gaussians of the scene.
+    /// Number of Gaussians in the scene.
     pub gaussians: usize,
-    /// Elongated Gaussians: longest axis over ten times the middle one, and longer than 5 px in the
-    /// nearest training view.
+    /// Number of elongated Gaussians: longest axis over ten times the middle one, and longer than 5
+    /// px in the nearest training view.
     pub elongated: usize,
     /// Longest side of the pictures compared, px.
     pub size: usize,
@@ -32,7 +32,7 @@ pub struct Evaluation {
     pub registered: ViewScores,
 }
 
-/// One sharp photograph that did not train.
+/// One sharp photograph that was not used in training.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TestView {
     pub name: String,
@@ -53,11 +53,11 @@ pub struct TestView {
 pub struct ViewScores {
     /// Over every pixel.
     pub all: Scores,
-    /// Over the pixels that at least two training views see; `None` with hardly any.
+    /// Over the pixels that at least two training views see; `None` if there are hardly any.
     pub seen: Option<Scores>,
 }
 
-/// A render against a sharp photograph.
+/// Scores of a render against a sharp photograph.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Scores {
     /// PSNR, dB.

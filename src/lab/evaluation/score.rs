@@ -9,11 +9,11 @@ use fled_core::metrics::{self, ColourFit};
 
 /// Standard deviation of the Gaussian that removes detail finer than 3 px, px.
 const FINE_SIGMA: f32 = 1.5;
-/// Least share of the pixels that is scored.
+/// Smallest share of the pixels that is scored.
 const LEAST_SHARE: f64 = 0.05;
 
-/// The scores of a render over the pixels of `scored`, and over those of them that two training
-/// views see, without LPIPS. `None` if no pixel is scored.
+/// The scores of a render, without LPIPS, over the pixels of `scored` and over those of them that
+/// two training views see. `None` if no pixel is scored.
 pub(super) fn scores(
     render: &Image,
     truth: &Image,
@@ -26,7 +26,7 @@ pub(super) fn scores(
     Some(ViewScores { all: all?, seen: within_seen.filter(|_| seen.share() >= LEAST_SHARE) })
 }
 
-/// The scores over the pixels of a mask; `None` without any.
+/// The scores over the pixels of a mask; `None` if it is empty.
 fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
     let of = metrics::Scores::of(render, truth, Some(mask))?;
     let (kept, reference) = (mask.pixels_of(render), mask.pixels_of(truth));
@@ -40,7 +40,7 @@ fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
     })
 }
 
-/// PSNR of the difference of two pictures finer than 3 px, dB.
+/// PSNR over the part of the difference of two pictures that is finer than 3 px, dB.
 fn fine(image: &Image, truth: &Image, mask: &Mask) -> f64 {
     let difference = minus(image, truth);
     let fine = minus(&difference, &blurred(&difference));
@@ -55,7 +55,7 @@ fn minus(a: &Image, b: &Image) -> Image {
     Image::from_planar(a.width(), a.height(), values)
 }
 
-/// Blurs by a Gaussian of [`FINE_SIGMA`] with a repeated border.
+/// Blurs with a Gaussian of [`FINE_SIGMA`], repeating the border.
 fn blurred(image: &Image) -> Image {
     const RADIUS: isize = 5;
     let weight = |tap: isize| (-(tap as f32).powi(2) / (2.0 * FINE_SIGMA * FINE_SIGMA)).exp();
@@ -78,7 +78,7 @@ fn blurred(image: &Image) -> Image {
     along(&along(image, 1, 0), 0, 1)
 }
 
-/// Means over views; the part that two training views see is averaged over the views that have
+/// Means over views. The part seen by two training views is averaged over the views that have
 /// enough of it.
 pub(super) fn mean(all: &[&ViewScores]) -> ViewScores {
     let seen: Vec<Scores> = all.iter().filter_map(|scores| scores.seen).collect();

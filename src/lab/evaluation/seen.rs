@@ -1,4 +1,4 @@
-//! The pixels of a picture that at least two training views see: the surface behind all others is
+//! The pixels of a picture that at least two training views see. The surface behind all others is
 //! unknown.
 
 use glam::DVec3;
@@ -13,9 +13,9 @@ use fled_core::render::Renderer;
 
 /// Number of training views that must see a pixel.
 const LEAST_VIEWS: usize = 2;
-/// Most depth at which a view sees a point, relative to the surface that it sees there.
+/// Maximum depth at which a view sees a point, relative to the surface that it sees there.
 const DEEPER: f64 = 1.1;
-/// Least coverage of a surface.
+/// Minimum coverage of a surface.
 const LEAST_COVERAGE: f32 = 0.5;
 
 /// The training views of a run, with the depths that they see.
@@ -38,7 +38,7 @@ impl<'a> Witnesses<'a> {
         Ok(Self { scene: &run.gaussians, views: views? })
     }
 
-    /// The pixels of a camera's picture that at least two of them see.
+    /// The pixels of a camera's picture that at least two of the training views see.
     ///
     /// # Errors
     /// A device error.

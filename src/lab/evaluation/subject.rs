@@ -75,8 +75,9 @@ impl Subject {
         self.depth
     }
 
-    /// The training view most similar to this camera: the distance between the points at the
-    /// scene's depth in the middle of both pictures, plus that between the cameras, is least.
+    /// The training view most similar to this camera: the one with the least sum of the distance
+    /// between the points at the scene's depth in the middle of both pictures and the distance
+    /// between the cameras.
     pub fn nearest(&self, camera: &Camera) -> &str {
         let middle = |camera: &Camera| camera.centre() + self.depth * camera.forward();
         let apart = |other: &Camera| {

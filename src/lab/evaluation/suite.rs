@@ -1,9 +1,9 @@
 //! Suites: captures x configurations x seeds. Sharp photographs judge every run, and statistics
 //! compare the configurations.
 //!
-//! `file` is the suite's file, `setup` collects all that determines a run, `records` keeps finished
-//! runs, `runner` makes the missing ones in order; `statistics` and `table` report the results.
-//! Nothing here starts a process: the caller provides a function that does.
+//! `file` is the suite's file, `setup` collects all inputs of a run, `records` keeps finished runs,
+//! `runner` makes the missing ones in order; `statistics` and `table` report the results. Nothing
+//! here starts a process: the caller provides a function for that.
 
 pub mod content;
 pub mod error;

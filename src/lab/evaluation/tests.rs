@@ -1,4 +1,4 @@
-//! A made-up scene, judged by its own renders in another world.
+//! A synthetic scene, judged against its own renders in another world.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ use rand_pcg::Pcg64Mcg;
 
 const SIZE: [usize; 2] = [120, 90];
 
-/// Six cameras side by side; the run lacks the odd ones.
+/// Six cameras side by side; the run lacks those with odd numbers.
 fn cameras() -> Vec<NamedCamera> {
     let intrinsics =
         Intrinsics { width: SIZE[0], height: SIZE[1], fx: 110.0, fy: 110.0, cx: 60.0, cy: 45.0 };
@@ -60,7 +60,7 @@ fn subject() -> Subject {
     Subject::new(gaussians(), every_second, poses())
 }
 
-/// Renders of the scene as photographs of another world; `moved` gives their true cameras.
+/// Renders of the scene as photographs from another world; `moved` gives their true cameras.
 fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
     let other_world = Similarity {
         scale: 2.5,
@@ -208,7 +208,7 @@ fn elongated_gaussians_count_if_a_view_sees_their_length() {
     subject.gaussians.opacity_logits[0] = 0.0;
     subject.gaussians.log_scales[0] = [0.2_f32.ln(), 0.01_f32.ln(), 0.01_f32.ln()];
     assert_eq!(elongated::count(&subject), before + 1);
-    // A tenth as long, it measures 3 px.
+    // At a tenth of the length, it measures 3 px.
     subject.gaussians.log_scales[0] = [0.02_f32.ln(), 0.001_f32.ln(), 0.001_f32.ln()];
     assert_eq!(elongated::count(&subject), before);
 }

@@ -1,4 +1,4 @@
-//! Sharp photographs with poses of their own.
+//! Sharp photographs with their own poses.
 
 use std::path::Path;
 
@@ -20,10 +20,10 @@ use fled_core::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
 use super::error::EvaluationError;
 use super::subject::Subject;
 
-/// Fewest shared cameras that determine the similarity of two worlds.
+/// Minimum number of shared cameras needed to determine the similarity of two worlds.
 const LEAST_TIED: usize = 3;
 
-/// The photographs of a folder that have a pose there, in natural order of their names.
+/// The photographs of a folder that have a pose in it, in natural order of their names.
 pub struct Truth {
     views: Vec<(CaptureView, PosedView)>,
 }
@@ -50,11 +50,10 @@ impl Placed<'_> {
         self.posed.camera.resized(width, height)
     }
 
-    /// The mask of the photograph: the pixels that those of its pictures in `folder` leave, at the
-    /// working size.
+    /// The mask of the photograph at the working size: the pixels left by its masks in `folder`.
     ///
     /// # Errors
-    /// [`EvaluationError::NoMask`]; a picture that cannot be read or has another shape.
+    /// [`EvaluationError::NoMask`]; a mask that cannot be read or has another shape.
     pub(super) fn mask(&self, folder: &Path, size: usize) -> Result<Mask, EvaluationError> {
         let path = &self.photograph.path;
         let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
@@ -98,11 +97,12 @@ pub(super) struct Tie {
 }
 
 impl Truth {
-    /// Reads the poses of a folder of photographs, which are themselves loaded on demand. If a
-    /// photograph has a sharp one of the same name in `gt/` or `HL/`, that is the truth.
+    /// Reads the poses of a folder of photographs; the photographs themselves are loaded on demand.
+    /// If a photograph has a sharp one of the same name in `gt/` or `HL/`, the latter is the ground
+    /// truth.
     ///
     /// # Errors
-    /// [`EvaluationError::NoPoses`]; a folder that is no capture, or poses that cannot be read.
+    /// [`EvaluationError::NoPoses`]; a folder that is not a capture, or poses that cannot be read.
     pub fn open(folder: &Path, scratch: &Path) -> Result<Self, EvaluationError> {
         let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
         let capture = Capture::open(folder, scratch).map_err(fault)?;
@@ -159,7 +159,8 @@ impl Truth {
         })
     }
 
-    /// Names of the photographs that did not train; with `inside`, only those between two that did.
+    /// Names of the photographs not used in training; with `inside`, only those between two that
+    /// were.
     pub(super) fn test_views(&self, subject: &Subject, inside: bool) -> Vec<&str> {
         let trained: Vec<bool> = self
             .views
@@ -176,9 +177,9 @@ impl Truth {
         .collect()
     }
 
-    /// The photographs of these names as the run would have them: undistorted with the lens that it
+    /// The photographs of these names as the run would see them: undistorted with the lens that it
     /// found for the nearest training view, at the aligned pose. A run estimates distortion and
-    /// depth together, so another lens, even the true one, would show another scene.
+    /// depth together, so another lens, even the true one, would show a different scene.
     ///
     /// # Errors
     /// [`EvaluationError::NoLens`].

@@ -34,7 +34,7 @@ pub struct Remembered {
 
 /// How long the result of the child process is cached.
 const BELIEVED: Duration = Duration::from_secs(60);
-/// How long the child process may take.
+/// Timeout of the child process.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The output of the child process, one line of JSON.
@@ -45,7 +45,7 @@ struct Doctor {
     has_gpu: Option<bool>,
 }
 
-/// Runs all checks. Whether this machine has a GPU is known if jobs run here alone.
+/// Runs all checks. Whether this machine has a GPU is known only if all jobs run here.
 pub async fn checks(app: &App) -> (Vec<Check>, Option<bool>) {
     let mut checks = vec![database(app).await, disk(app)];
     checks.extend(files(app).await);

@@ -1,4 +1,4 @@
-//! The jobs that workers of this server run.
+//! The jobs that this server's workers run.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,7 +7,7 @@ use tokio::sync::Notify;
 
 use crate::store::Lease;
 
-/// The notifier that stops each running job, and under which epoch it runs.
+/// The notifier that stops each running job, and the epoch under which it runs.
 #[derive(Debug, Default)]
 pub struct Running {
     jobs: Mutex<HashMap<String, (i64, Arc<Notify>)>>,
@@ -15,14 +15,14 @@ pub struct Running {
 }
 
 impl Running {
-    /// The right to claim a job. Held until it is among the running ones: were the server stopped
-    /// for longer than a lease between the two, another worker would claim it as well.
+    /// The right to claim a job. Held until the job is listed as running: if the server were
+    /// suspended in between for longer than a lease, another worker would claim the job as well.
     pub async fn claiming(&self) -> tokio::sync::MutexGuard<'_, ()> {
         self.claiming.lock().await
     }
 
-    /// Remembers that the job runs under this lease, and returns the notifier that stops it. A
-    /// lease that another worker has taken over meanwhile is not remembered.
+    /// Records that the job runs under this lease, and returns the notifier that stops it. A lease
+    /// that another worker has taken over meanwhile is not recorded.
     pub fn begin(&self, lease: &Lease) -> Arc<Notify> {
         let notifier = Arc::new(Notify::new());
         let mut jobs = self.lock();
@@ -33,8 +33,8 @@ impl Running {
         notifier
     }
 
-    /// Forgets a job that no longer runs under this lease. Another worker that has taken it over
-    /// keeps its own entry.
+    /// Removes the entry of a job that no longer runs under this lease. If another worker has taken
+    /// the job over, its entry stays.
     pub fn end(&self, lease: &Lease) {
         let mut jobs = self.lock();
         if jobs.get(&lease.job).is_some_and(|&(epoch, _)| epoch == lease.epoch) {
@@ -42,10 +42,10 @@ impl Running {
         }
     }
 
-    /// Stops the job's process, when a worker of this server runs it.
+    /// Stops the job's process if a worker of this server runs it.
     pub fn stop(&self, job: &str) {
         if let Some((_, notifier)) = self.lock().get(job) {
-            // Remembered until it is awaited, so that no order of events loses it.
+            // The notifier keeps the signal until it is awaited, so no order of events loses it.
             notifier.notify_one();
         }
     }
@@ -55,7 +55,7 @@ impl Running {
         self.lock().contains_key(job)
     }
 
-    /// The jobs that run.
+    /// The running jobs.
     pub fn jobs(&self) -> Vec<String> {
         self.lock().keys().cloned().collect()
     }
@@ -70,12 +70,12 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn who_lost_a_job_does_not_forget_it_for_who_has_it_now() {
+    async fn a_worker_that_lost_a_job_keeps_the_entry_of_its_successor() {
         let lease = |epoch| Lease { job: "j".to_owned(), epoch };
         let running = Running::default();
         running.begin(&lease(1));
         let notifier = running.begin(&lease(2));
-        // Late: it was stopped between its claim and this.
+        // Late: the worker was suspended between its claim and this call.
         running.begin(&lease(1));
         running.end(&lease(1));
         assert_eq!(running.jobs(), ["j"]);

@@ -25,7 +25,7 @@ use crate::saved::Saved;
 /// Ticks per stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
 
-/// Gaussians of a real scene.
+/// Gaussians in a real scene.
 const BALLS: usize = 1000;
 
 type Outcome = Result<(), Box<dyn Error>>;
@@ -204,7 +204,7 @@ impl Job {
         self.capture.join("gt").exists()
     }
 
-    /// Returns whether this is the first time, over all attempts.
+    /// Returns whether this is the first call, over all attempts.
     fn first(&self, what: &str) -> Result<bool, Box<dyn Error>> {
         let mark = self.output.join(format!(".{what}"));
         let first = !mark.exists();

@@ -1,7 +1,8 @@
 //! A server with fake child processes, for the tests of the service.
 //!
-//! `serve DATA ADDRESS_FILE` starts it; the other verbs are the children that it starts. The option
-//! `adapter`, the only free text that the service does not interpret, plans what a job does.
+//! `serve DATA ADDRESS_FILE` starts it; the other verbs run as its child processes. The option
+//! `adapter`, the only free text that the service does not interpret, selects the behaviour of a
+//! job.
 
 mod death;
 mod job;
@@ -109,7 +110,7 @@ fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Short timeouts, and what a test sets.
+/// Short timeouts, overridden by a test's settings.
 fn limits() -> Result<Limits, std::num::ParseIntError> {
     Ok(Limits {
         lease: Duration::from_secs(5),

@@ -9,7 +9,7 @@ use fled_core::event::Event;
 /// Prints and flushes one line of the protocol.
 pub fn say(line: &str) {
     let mut out = io::stdout().lock();
-    // If the pipe is closed, the server is gone and this process will end too.
+    // If the pipe is closed, the server has gone and this process will end too.
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
 

@@ -1,4 +1,4 @@
-//! Checkpoints of a fake training: one at a fixed step, and one when it is asked to stop.
+//! Checkpoints of a fake training: one at a fixed step, and one when the process is asked to stop.
 
 use std::error::Error;
 use std::fs;
@@ -13,7 +13,7 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::protocol::tell;
 
-/// The step after which the only unrequested checkpoint is made.
+/// The step after which the only unrequested checkpoint is saved.
 const BY_THE_CLOCK: u64 = 2;
 
 /// The checkpoint of a training.
@@ -30,9 +30,9 @@ impl Saved {
         let asked = Arc::new(AtomicBool::new(false));
         let raised = asked.clone();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
-        let mut told = runtime.block_on(async { signal(SignalKind::terminate()) })?;
+        let mut signals = runtime.block_on(async { signal(SignalKind::terminate()) })?;
         spawn(move || {
-            runtime.block_on(told.recv());
+            runtime.block_on(signals.recv());
             raised.store(true, Ordering::Relaxed);
         });
         let takes = std::env::var("FLED_FAKE_SAVING_MS").unwrap_or_else(|_| "0".to_owned());

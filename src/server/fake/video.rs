@@ -1,7 +1,7 @@
-//! A fake video: as long and as large as a real one, but a simple moving picture.
+//! A fake video: as long and as large as a real one, but with a simple moving picture.
 //!
-//! Its frame rate plans the outcome: at 5 each frame takes a tenth of a second, at 7 it fails, at 9
-//! the process dies.
+//! Its frame rate selects the outcome: at 5 each frame takes a tenth of a second, at 7 it fails, at
+//! 9 the process dies.
 
 use std::error::Error;
 use std::ffi::OsString;
@@ -52,7 +52,7 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
     Ok(outcome?)
 }
 
-/// A field with a bright bar that moves from left to right.
+/// A plain background with a bright bar that moves from left to right.
 fn drawn(camera: &Camera, share: f32) -> Image {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let mut picture = Image::new(width, height);

@@ -27,7 +27,7 @@ pub struct Copy {
 }
 
 impl BlobCache {
-    /// A cache of `blobs`, or none.
+    /// A cache of `blobs`, or of no store.
     pub fn new(blobs: Option<Blobs>) -> Self {
         Self { blobs, ..Self::default() }
     }
@@ -49,7 +49,8 @@ impl BlobCache {
         folders.remove(name);
     }
 
-    /// Puts the files of a new capture into the blob store and returns what its row must name.
+    /// Puts the files of a new capture into the blob store and returns the files that its row must
+    /// name.
     ///
     /// # Errors
     /// When the blob store or the disk fails.

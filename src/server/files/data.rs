@@ -17,12 +17,12 @@ use rustix::fs::{FlockOperation, flock, statvfs};
 
 use crate::error::{Result, ServerError};
 
-/// The folder of thumbnails in that of a capture. It is hidden: the reader of captures does not see
-/// it.
+/// The folder of thumbnails within the folder of a capture. It is hidden, so the reader of captures
+/// ignores it.
 pub const THUMBNAILS: &str = ".thumbnails";
 
-/// The file of the thumbnail of the photograph `name`, below the folder of its capture. One with
-/// the extension `txt` beside it tells where the photograph itself lies, below that folder, too.
+/// The thumbnail file of the photograph `name`, below the folder of its capture. A file beside it
+/// with the extension `txt` holds the path of the photograph itself, also below that folder.
 pub fn thumbnail(name: &str) -> PathBuf {
     let digest = blake3::hash(name.as_bytes()).to_hex();
     Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))
@@ -160,12 +160,12 @@ impl DataDir {
         kept.file_name().map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
-    /// The folder that all jobs share: poses, and the costs of stages.
+    /// The folder shared by all jobs: poses, and the costs of stages.
     pub fn cache(&self) -> PathBuf {
         self.root.join("cache")
     }
 
-    /// The poses in it, a file for each capture and what else they depend on.
+    /// The cached poses: a file for each capture and set of other inputs.
     pub fn cached_poses(&self) -> PathBuf {
         self.cache().join(CACHED)
     }
@@ -233,7 +233,7 @@ pub fn bytes_below(dir: &Path) -> io::Result<u64> {
         if entry.file_name() == THUMBNAILS {
             continue;
         }
-        // A running job replaces its files meanwhile.
+        // A running job may replace its files meanwhile.
         match entry.metadata() {
             Ok(about) if about.is_dir() => sum += bytes_below(&entry.path())?,
             Ok(about) => sum += about.len(),
@@ -244,7 +244,7 @@ pub fn bytes_below(dir: &Path) -> io::Result<u64> {
     Ok(sum)
 }
 
-/// Makes the entries of a directory survive a power cut.
+/// Syncs a directory to disk, so that its entries survive a power cut.
 ///
 /// # Errors
 /// When the directory cannot be opened or synchronised.
@@ -252,10 +252,11 @@ pub fn sync_directory(dir: &Path) -> io::Result<()> {
     File::open(dir)?.sync_all()
 }
 
-/// Makes the entries of a directory and of all below it survive a power cut.
+/// Syncs a directory and all directories below it to disk, so that their entries survive a power
+/// cut.
 ///
 /// # Errors
-/// When one cannot be read or synchronised.
+/// When one of them cannot be read or synchronised.
 pub fn sync_directories(dir: &Path) -> io::Result<()> {
     for entry in fs::read_dir(dir)? {
         let entry = entry?;
@@ -275,7 +276,7 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary directory");
         let first = DataDir::open(dir.path()).expect("free");
         assert!(matches!(DataDir::open(dir.path()), Err(ServerError::DataInUse(_))));
-        // As a process inherits it that is just being started.
+        // As a process inherits it while it is being started.
         let lock = first.lock.as_ref().expect("its own");
         let _inherited = lock.0.try_clone().expect("open");
         drop(first);

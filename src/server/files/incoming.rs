@@ -15,7 +15,7 @@ use crate::files::delete;
 pub struct Uploads(Arc<Mutex<HashSet<PathBuf>>>);
 
 /// The folder of an upload in progress. Unless it was moved away, it is removed when its last user
-/// drops it: a client that hangs up does not remove files that are still being validated.
+/// drops it: a client that disconnects does not remove files that are still being validated.
 #[derive(Debug)]
 pub struct Incoming {
     path: PathBuf,
@@ -54,7 +54,7 @@ impl Incoming {
 
 impl Drop for Incoming {
     fn drop(&mut self) {
-        // After a move into place it no longer exists.
+        // After the move into place it no longer exists.
         if let Err(error) = delete(&self.path) {
             tracing::debug!(%error, "an upload's folder waits for the janitor");
         }
@@ -74,7 +74,7 @@ mod tests {
         let path = upload.path().to_owned();
         let looks = upload.clone();
         drop(upload);
-        // The client has hung up; its photographs are still being validated.
+        // The client has disconnected; its photographs are still being validated.
         fs::create_dir_all(path.join(".examined/unpacked")).expect("unpacked");
         assert!(path.join(".examined").exists() && uploads.uses(&path));
         drop(looks);

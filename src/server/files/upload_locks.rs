@@ -1,8 +1,8 @@
 //! Locks on resumable uploads: one request at a time uses an upload.
 //!
-//! A client that has lost its connection comes back on another before the server notices the loss.
-//! So the later request takes over: the earlier one stops, and its bytes are on the disk before the
-//! later one learns how many there are.
+//! A client that has lost its connection returns on another before the server notices the loss. So
+//! the later request takes over: the earlier one stops, and its bytes are on disk before the later
+//! one counts them.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,7 +21,7 @@ struct State {
     released: CancellationToken,
 }
 
-/// The only use of an upload, until this is dropped.
+/// Exclusive use of an upload until dropped.
 #[derive(Debug)]
 pub struct UploadLock {
     id: String,
@@ -30,8 +30,8 @@ pub struct UploadLock {
 }
 
 impl UploadLocks {
-    /// Takes an upload over from the request that uses it; `None` when that does not release it
-    /// within `patience`.
+    /// Takes an upload over from the request that uses it; `None` if that request does not release
+    /// it within `patience`.
     pub async fn take(&self, id: &str, patience: Duration) -> Option<UploadLock> {
         let end = Instant::now() + patience;
         loop {
@@ -43,7 +43,7 @@ impl UploadLocks {
         }
     }
 
-    /// The lock, or the state of the one that another request has and was asked to release.
+    /// The lock, or the state of the lock that another request holds and was asked to release.
     fn try_take(&self, id: &str) -> Result<UploadLock, State> {
         let mut locks = self.lock();
         if let Some(state) = locks.get(id) {
@@ -66,7 +66,7 @@ impl UploadLocks {
 }
 
 impl UploadLock {
-    /// Returns when another request wants the upload: then drop this soon.
+    /// Returns once another request wants the upload: drop the lock soon after.
     pub async fn wanted(&self) {
         self.state.wanted.cancelled().await;
     }

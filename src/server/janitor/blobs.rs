@@ -1,7 +1,7 @@
 //! The rule for blobs in the shared blob store that no row names.
 //!
-//! If two databases used one blob store, each would delete blobs that only the other names. So a
-//! blob store carries the identity of the database that used it first, and refuses servers of any
+//! If two databases used one blob store, each would delete blobs that only the other names. Hence a
+//! blob store carries the identity of the first database that used it, and refuses servers of any
 //! other.
 
 use std::collections::HashSet;
@@ -27,9 +27,9 @@ pub(super) async fn follow(app: &App) -> Result<usize> {
     }
 }
 
-/// Deletes blobs that no file has had for a day, and remains of interrupted uploads to the blob
-/// store. Returns how many. Does nothing while another process collects, since both would list the
-/// whole store.
+/// Deletes blobs that have not belonged to any file for a day, and remains of interrupted uploads
+/// to the blob store. Returns their number. Does nothing while another process collects, since both
+/// would list the whole store.
 ///
 /// # Errors
 /// As [`claim`].
@@ -65,7 +65,7 @@ async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
             let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
             let named: HashSet<String> = store.named(&digests).await?.into_iter().collect();
             for digest in digests.iter().filter(|digest| !named.contains(*digest)) {
-                // It may have been put again since it was listed, and be named in a moment.
+                // The blob may have been put again since it was listed, and be named in a moment.
                 deleted += usize::from(blobs.delete_older(digest, UNNAMED).await?);
             }
         }
@@ -168,9 +168,10 @@ mod tests {
         assert!(place.file(&blob).exists());
         other.end().await;
         assert_eq!(collected().await, 1);
-        // The turn was given back at the end.
+        // The turn was returned at the end.
         let other = store.collecting().await.expect("asked").expect("free");
-        // A process that stops halfway blocks no other: the database notices the lost connection.
+        // A process that stops halfway does not block others: the database notices the lost
+        // connection.
         drop(other);
         place.put("old".to_owned(), 25 * HOUR).await;
         let began = std::time::Instant::now();

@@ -20,7 +20,8 @@ impl Janitor<'_> {
             let old = find(dir, age.max(self.made), goes);
             old.map(|old| found.extend(old)).map_err(ServerError::io(dir))
         };
-        // Entries that get a row after this are younger than `made`, or none gets one meanwhile.
+        // Entries that get a row after this are younger than `made`, or no entry can get one
+        // meanwhile.
         let ids = async |kind| self.store.ids(kind).await;
         match rule {
             Name::SpareUploads => {
@@ -61,7 +62,7 @@ impl Janitor<'_> {
             Name::Caches => {
                 let is_file = |entry: &DirEntry| entry.file_type().is_ok_and(|kind| kind.is_file());
                 add(&data.cache(), self.caches, &is_file)?;
-                // Each is used by itself, and a run touches the one that it uses.
+                // Each file of poses is used on its own, and a run touches the one that it uses.
                 add(&data.cached_poses(), self.caches, &|_| true)?;
                 // A server keeps its renders.
                 if self.app.is_none() {
@@ -75,7 +76,7 @@ impl Janitor<'_> {
         Ok(found)
     }
 
-    /// Removes something or moves it aside, and reports it. Returns whether it is gone.
+    /// Removes a path or moves it aside, and reports it. Returns whether it has gone.
     pub(super) fn remove(&mut self, rule: &Rule, path: PathBuf) -> bool {
         if self.reported.iter().any(|gone| path.starts_with(gone)) {
             return false;
@@ -110,7 +111,7 @@ fn is_named(ids: &HashSet<String>, entry: &DirEntry) -> bool {
     name.to_str().is_some_and(|name| ids.contains(name))
 }
 
-/// Returns the entries of a folder that match `goes` and have not changed for `age`; nothing if the
+/// Returns the entries of a folder that match `goes` and have not changed for `age`; none if the
 /// folder does not exist.
 fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(dir) {
@@ -132,12 +133,12 @@ fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Resu
 /// Returns whether a file was written or moved here within `age`.
 fn changed_within(metadata: &Metadata, age: Duration) -> bool {
     let changed = UNIX_EPOCH + Duration::from_secs(u64::try_from(metadata.ctime()).unwrap_or(0));
-    // A clock that was set back makes files young, and they stay.
+    // If the clock was set back, files look young and stay.
     let old = SystemTime::now().duration_since(changed).unwrap_or_default();
     old < age
 }
 
-/// Moves something aside without overwriting anything.
+/// Moves a path aside without overwriting anything.
 fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
     fs::create_dir_all(aside)?;
     let name = path.file_name().unwrap_or_default();
@@ -159,7 +160,7 @@ fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Bytes freed by its removal: none for a file that has another hard link or is gone.
+/// Bytes freed by removing a path: none if the file has another hard link or has gone.
 fn bytes_of(path: &Path) -> io::Result<u64> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(0),

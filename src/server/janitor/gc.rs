@@ -1,7 +1,7 @@
-//! The janitor's rules applied by hand, with a report.
+//! The janitor's rules, applied manually, with a report.
 //!
-//! Beside a running server it leaves alone what that server knows only in memory and what has
-//! changed within the last hour.
+//! Beside a running server, it leaves alone all that only the server knows in memory, and all that
+//! has changed within the last hour.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use crate::store::Store;
 /// Options of [`gc`].
 #[derive(Clone, Copy, Debug)]
 pub struct GcOptions {
-    /// Only report.
+    /// Whether to report only.
     pub dry_run: bool,
     /// How long orphans are kept.
     pub unnamed: Duration,
@@ -23,12 +23,12 @@ pub struct GcOptions {
     pub caches: Duration,
 }
 
-/// Something that was or would be removed.
+/// An item that was or would be removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gone {
     /// Its path below the data directory.
     pub path: PathBuf,
-    /// Bytes freed; 0 for what is moved aside.
+    /// Bytes freed; 0 for an item that is moved aside.
     pub bytes: u64,
     /// The reason.
     pub why: &'static str,
@@ -37,13 +37,13 @@ pub struct Gone {
 /// The outcome of [`gc`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Collected {
-    /// Whether a server was running: what only that server knows about stays.
+    /// Whether a server was running: items that only it knows about stay.
     pub beside_server: bool,
-    /// Bytes freed by compacting the database, or that would be.
+    /// Bytes freed, or to be freed, by compacting the database.
     pub database: u64,
 }
 
-/// Removes what is no longer needed in the data directory `root`, and reports each thing.
+/// Removes what is no longer needed in the data directory `root`, and reports each item.
 ///
 /// # Errors
 /// When `root` has no database or one of another schema version. A failed removal or query is
@@ -65,7 +65,7 @@ pub async fn gc(
         app: None,
         serves: true,
         dry_run: options.dry_run,
-        // Without a server nothing is being created.
+        // Without a server, nothing is being created.
         made: if data.is_ours() { Duration::ZERO } else { PERIOD },
         orphans: options.unnamed,
         caches: options.caches,
@@ -90,7 +90,7 @@ pub async fn gc(
     Ok(Collected { beside_server: !data.is_ours(), database: given_back })
 }
 
-/// Bytes of the database with its log.
+/// Bytes of the database including its log.
 fn database_bytes(data: &DataDir) -> u64 {
     let database = data.database();
     let log = database.with_extension("db-wal");

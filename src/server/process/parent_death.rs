@@ -1,5 +1,4 @@
-//! The guard against a parent's death: a process ends when the one that started it ends, however it
-//! ends.
+//! The guard against a parent's death: a process ends when its parent ends, for whatever reason.
 
 use std::ffi::{OsStr, OsString};
 use std::io;
@@ -11,18 +10,18 @@ use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use super::PARENT_VARIABLE;
 
-/// The subcommand that makes this program become another one: see [`become_guarded`].
+/// The subcommand that turns this program into another one: see [`become_guarded`].
 pub const GUARD: &str = "guard";
 
-/// Exit codes that shells use if a program is not found, or cannot be started.
+/// Exit codes that shells use if a program is not found or cannot be started.
 const NOT_FOUND: u8 = 127;
 const NOT_STARTED: u8 = 126;
 
-/// Asks the kernel to end this process when the server that started it ends, however it ends. Does
-/// nothing in a process that no server started.
+/// Asks the kernel to end this process when the server that started it ends, for whatever reason.
+/// Does nothing in a process that no server started.
 ///
 /// # Errors
-/// When that server is already gone, or the kernel refuses.
+/// If that server has already gone, or the kernel refuses.
 pub fn die_with_parent() -> io::Result<()> {
     match std::env::var_os(PARENT_VARIABLE) {
         Some(parent) => die_with(&parent),
@@ -32,7 +31,7 @@ pub fn die_with_parent() -> io::Result<()> {
 
 fn die_with(parent: &OsStr) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // It may have ended before the request.
+    // The server may have ended before the request.
     let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
     if now.is_some_and(|now| *parent == *now) {
         return Ok(());
@@ -41,8 +40,8 @@ fn die_with(parent: &OsStr) -> io::Result<()> {
 }
 
 /// Returns a command that starts `program`, with the arguments that follow, in a process that ends
-/// with this one. Start it from a thread that lives as long as that process may: the kernel watches
-/// the thread.
+/// with this one. Start it from a thread that lives as long as that process may live: the kernel
+/// watches the thread.
 ///
 /// # Errors
 /// When the path of the running program is unknown.
@@ -57,7 +56,7 @@ pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
     Ok(vec![own.into(), GUARD.into(), parent.into(), program.into()])
 }
 
-/// Becomes the program that [`guarded`] named, whose `arguments` follow [`GUARD`]. Returns only on
+/// Becomes the program named by [`guarded`], whose `arguments` follow [`GUARD`]. Returns only on
 /// failure, with the exit code of a shell.
 pub fn become_guarded(arguments: &[OsString]) -> ExitCode {
     let [parent, program, arguments @ ..] = arguments else {

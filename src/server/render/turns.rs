@@ -1,6 +1,6 @@
 //! A fair queue of renders: one at a time, the clients in turn.
 //!
-//! A client that asks for many pictures waits for its own: another client's first is made next.
+//! A client that asks for many pictures delays only itself: another client's first is made next.
 
 use std::collections::VecDeque;
 use std::net::IpAddr;
@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::oneshot;
 
-/// The turns at one thing. Cheap to clone.
+/// The turns for one resource. Cheap to clone.
 #[derive(Clone, Debug)]
 pub(super) struct Turns {
     most: usize,
@@ -18,7 +18,8 @@ pub(super) struct Turns {
 #[derive(Debug, Default)]
 struct Queue {
     is_taken: bool,
-    /// Who waits, in the order of their next turns; nobody is in it twice or with nothing.
+    /// The waiting clients, in the order of their next turns; none is listed twice or without a
+    /// request.
     clients: VecDeque<Waiting>,
 }
 
@@ -28,20 +29,20 @@ struct Waiting {
     asked: VecDeque<oneshot::Sender<Turn>>,
 }
 
-/// A turn; dropped, it goes on to the next.
+/// A turn. Dropping it passes it to the next client in the queue.
 #[derive(Debug)]
 pub(super) struct Turn(Turns);
 
 impl Turns {
-    /// `most` have or await a turn at a time.
+    /// At most `most` requests have or await a turn at a time.
     pub(super) fn new(most: usize) -> Self {
         Self { most, queue: Arc::default() }
     }
 
-    /// Waits for a turn. Whoever stops waiting leaves the queue.
+    /// Waits for a turn. Dropping the future leaves the queue.
     ///
-    /// `None` when too many wait: at once, or later, when this client has asked for more than its
-    /// share and another wants its place.
+    /// Returns `None` if too many wait: at once, or later, if this client has asked for more than
+    /// its share and another client needs its place.
     pub(super) async fn take(&self, client: IpAddr) -> Option<Turn> {
         let awaited = {
             let mut queue = self.lock();
@@ -72,14 +73,14 @@ impl Drop for Turn {
             next
         };
         if let Some(next) = next {
-            // Whoever has gone drops the turn, and it goes on from there.
+            // If the receiver has gone, the turn is dropped and passes to the next in the queue.
             drop(next.send(Turn(self.0.clone())));
         }
     }
 }
 
 impl Queue {
-    /// Who has a turn or waits for one.
+    /// The number of requests that have a turn or wait for one.
     fn len(&self) -> usize {
         let waiting: usize = self.clients.iter().map(|waiting| waiting.asked.len()).sum();
         waiting + usize::from(self.is_taken)
@@ -92,7 +93,7 @@ impl Queue {
         self.clients.retain(|waiting| !waiting.asked.is_empty());
     }
 
-    /// Takes the last place of whoever has most, if that is more than `client` will have.
+    /// Takes the last place of the client with most, if it has more than `client` will have.
     fn make_room_for(&mut self, client: IpAddr) -> bool {
         let own = self.clients.iter().find(|waiting| waiting.client == client);
         let own = own.map_or(0, |waiting| waiting.asked.len());
@@ -113,7 +114,7 @@ impl Queue {
         awaited
     }
 
-    /// The next, whose client goes to the end of the circle.
+    /// The next request; its client moves to the end of the queue.
     fn pop(&mut self) -> Option<oneshot::Sender<Turn>> {
         let mut waiting = self.clients.pop_front()?;
         let next = waiting.asked.pop_front();
@@ -140,7 +141,7 @@ mod tests {
         future.poll(&mut Context::from_waker(Waker::noop()))
     }
 
-    /// Whether it waits.
+    /// Whether the future is pending.
     fn waits<F: Future>(future: &mut Pin<Box<F>>) -> bool {
         poll(future.as_mut()).is_pending()
     }
@@ -159,14 +160,14 @@ mod tests {
         let mut order = Vec::new();
         while !waiting.is_empty() {
             drop(turn);
-            let mut came = None;
+            let mut ready = None;
             for (index, (_, future)) in waiting.iter_mut().enumerate() {
                 if let Poll::Ready(next) = poll(future.as_mut()) {
-                    assert!(came.is_none(), "two have a turn");
-                    came = Some((index, next.expect("a turn")));
+                    assert!(ready.is_none(), "two have a turn");
+                    ready = Some((index, next.expect("a turn")));
                 }
             }
-            let (index, next) = came.expect("somebody has a turn");
+            let (index, next) = ready.expect("somebody has a turn");
             order.push(waiting.remove(index).0);
             turn = next;
         }
@@ -174,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_makes_room_for_those_who_have_least() {
+    fn a_full_queue_makes_room_for_the_client_with_fewest_requests() {
         let turns = Turns::new(4);
         let turn = poll(pin!(turns.take(client(1))));
         let mut many: Vec<_> = (0..3).map(|_| Box::pin(turns.take(client(1)))).collect();
@@ -184,23 +185,23 @@ mod tests {
         assert!(waits(&mut other));
         assert!(matches!(poll(many[2].as_mut()), Poll::Ready(None)), "the last");
         assert!(waits(&mut many[1]));
-        // Now both have their share.
+        // Now both clients have their share.
         assert!(matches!(poll(pin!(turns.take(client(2)))), Poll::Ready(None)));
         drop(turn);
     }
 
     #[test]
-    fn a_turn_is_not_lost_with_those_who_go() {
+    fn a_turn_outlives_a_client_that_leaves() {
         let turns = Turns::new(4);
         let turn = poll(pin!(turns.take(client(1))));
         let mut gone = Box::pin(turns.take(client(1)));
-        let mut told = Box::pin(turns.take(client(2)));
+        let mut served = Box::pin(turns.take(client(2)));
         let mut last = Box::pin(turns.take(client(3)));
-        assert!(waits(&mut gone) && waits(&mut told) && waits(&mut last));
+        assert!(waits(&mut gone) && waits(&mut served) && waits(&mut last));
         drop(gone);
         drop(turn);
-        // The second has a turn that it has not seen yet.
-        drop(told);
+        // The second request has a turn that it has not seen yet.
+        drop(served);
         assert!(matches!(poll(last.as_mut()), Poll::Ready(Some(_))));
         assert!(matches!(poll(pin!(turns.take(client(1)))), Poll::Ready(Some(_))));
     }

@@ -1,5 +1,5 @@
-//! Videos of an earlier build, which lay in folders of their jobs with a `video.json` each, become
-//! jobs.
+//! Converts the videos of an earlier build, which lie in folders of their jobs with a `video.json`
+//! each, to jobs.
 
 use std::fs;
 use std::io::{self, ErrorKind};
@@ -11,10 +11,10 @@ use crate::error::{Result, ServerError};
 use crate::files::data::{DataDir, sync_directory};
 use crate::store::Store;
 
-/// Adopts every such video of this directory. What an interruption leaves is for the next start.
+/// Adopts all such videos in this directory. After an interruption, the next start adopts the rest.
 ///
 /// # Errors
-/// When the database or the disk refuses.
+/// When the database or the disk fails.
 pub(crate) async fn adopt_videos(store: &Store, data: &DataDir) -> Result<()> {
     for job in names(&data.jobs())? {
         let folder = data.job(&job).join("videos");
@@ -29,13 +29,13 @@ pub(crate) async fn adopt_videos(store: &Store, data: &DataDir) -> Result<()> {
             place(&video.join("video.mp4"), &to).map_err(ServerError::io(&to))?;
             fs::remove_dir_all(&video).map_err(ServerError::io(&video))?;
         }
-        // It stays with what is damaged.
+        // The folder stays if it still holds damaged videos.
         let _ = fs::remove_dir(&folder);
     }
     Ok(())
 }
 
-/// The names of what is in a folder, if there is one.
+/// The names of the entries of a folder, if it exists.
 fn names(folder: &Path) -> Result<Vec<String>> {
     let entries = match fs::read_dir(folder) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -53,7 +53,7 @@ fn read(folder: &Path, id: &str) -> Option<Value> {
     (record["id"] == id && record["plan"].is_object()).then_some(record)
 }
 
-/// Moves a file, where it is there and was not moved before.
+/// Moves a file, if it exists and was not moved before.
 fn place(from: &Path, to: &Path) -> io::Result<()> {
     let folder = to.parent().unwrap_or(to);
     fs::create_dir_all(folder)?;
@@ -74,7 +74,7 @@ mod tests {
     use crate::store::tests::{create, keep_capture};
 
     #[tokio::test]
-    async fn videos_of_an_earlier_build_are_jobs_after_a_start() {
+    async fn a_start_converts_videos_of_an_earlier_build_to_jobs() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = Store::open(&dir.path().join("fled.db")).await.expect("open");
         keep_capture(&store, "c", None, &[]).await;

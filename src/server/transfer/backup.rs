@@ -2,8 +2,8 @@
 //!
 //! The database is copied first, as a snapshot, then the files that it names. Captures never
 //! change, and neither do finished jobs. A job that is queued or running in the snapshot, or is
-//! retried during the copy, has no files in the backup: it starts afresh there. Uploads that are
-//! not yet part of a capture are not copied.
+//! retried during the copy, has no files in the backup: it starts from scratch there. Uploads that
+//! are not yet part of a capture are not copied.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
@@ -14,8 +14,8 @@ use crate::error::{Result, ServerError};
 use crate::files::data::sync_directories;
 use crate::store::{Attempted, Store};
 
-/// What at the top of a job's folder is not copied: novel views are made again when wanted, and
-/// change while the job does not.
+/// Top-level entries of a job's folder that are not copied: novel views are rendered again on
+/// demand, and change while the job does not.
 const MADE_AGAIN: [&str; 1] = ["renders"];
 
 /// Totals of a backup.
@@ -25,7 +25,7 @@ pub struct Backup {
     pub captures: usize,
     /// Jobs with their results.
     pub jobs: usize,
-    /// Jobs that start afresh in the backup.
+    /// Jobs that start from scratch in the backup.
     pub anew: usize,
     /// Bytes of files, without the database.
     pub bytes: u64,
@@ -41,7 +41,7 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let live = Store::as_it_is(&data.join("fled.db")).await?;
     live.copy_to(&to.join("fled.db")).await?;
     let copy = Store::open(&to.join("fled.db")).await?;
-    // Pieces that come meanwhile would not be there, and videos are made again when wanted.
+    // Pieces that arrive meanwhile would be missing, and videos can be made again on demand.
     copy.forget_uploads().await?;
     copy.forget_videos().await?;
     let mut done = Backup::default();
@@ -95,7 +95,7 @@ async fn begin_anew(
         let folder = to.join("jobs").join(id);
         match now.get(id) {
             Some(now) if now == job && job.is_over => continue,
-            // Does not count a job whose capture was removed.
+            // A job whose capture was removed does not count.
             Some(_) => anew += usize::from(copy.begin_anew(id).await?),
             None => drop(copy.delete_job(id).await?),
         }
@@ -124,7 +124,8 @@ fn make_empty(to: &Path) -> Result<()> {
     make().map_err(ServerError::io(to))
 }
 
-/// Copies a folder and returns its bytes; `None` if it does not exist, or no longer.
+/// Copies a folder and returns its bytes; `None` if the folder does not exist or has been deleted
+/// meanwhile.
 fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
     let (from, to) = (data.join(folder), to.join(folder));
     match copy_tree(&from, &to, &MADE_AGAIN) {

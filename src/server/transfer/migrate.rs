@@ -35,7 +35,7 @@ pub struct Migrated {
 /// # Errors
 /// [`ServerError::DataInUse`] while a server uses the directory, [`ServerError::NotMoved`] if the
 /// database or the blob store is not empty or files are missing; when something cannot be read or
-/// written. The database has no rows then.
+/// written. The database then has no rows.
 pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrated> {
     if database.starts_with("sqlite:") {
         let words = "--db names an SQLite file; use postgres://USER:PASSWORD@HOST/NAME";
@@ -97,7 +97,7 @@ async fn keep_captures(
     Ok(kept)
 }
 
-/// Puts what others may see of all jobs into the store.
+/// Puts the shared files of all jobs into the store.
 async fn keep_jobs(source: &Store, data: &DataDir, blobs: &Blobs) -> Result<Vec<(String, Kept)>> {
     let mut kept = Vec::new();
     let jobs = source.ids("jobs").await?;
@@ -115,9 +115,9 @@ async fn keep_jobs(source: &Store, data: &DataDir, blobs: &Blobs) -> Result<Vec<
 async fn keep(
     blobs: &Blobs,
     folder: &Path,
-    wanted: &(dyn Fn(&str) -> bool + Send + Sync),
+    filter: &(dyn Fn(&str) -> bool + Send + Sync),
 ) -> Result<Vec<Kept>> {
-    let pushed = push(blobs, folder, wanted, &HashMap::new(), &mut Seen::default()).await?;
+    let pushed = push(blobs, folder, filter, &HashMap::new(), &mut Seen::default()).await?;
     if pushed.skipped > 0 {
         return Err(ServerError::NotMoved(format!(
             "{} has files that change, or whose names are not UTF-8",

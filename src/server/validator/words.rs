@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::validation::{Assessment, Refusal, Warning};
 
-/// A request to validate an upload: the only line sent to the process, except answers to
-/// [`AssessReply::Needs`], which are the bytes that it may decode at a time.
+/// A request to validate an upload: the only line sent to the process, apart from answers to
+/// [`AssessReply::Needs`], which give the bytes that it may decode at a time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct AssessRequest {
     /// Its folder.
@@ -37,7 +37,7 @@ pub struct Filming {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AssessReply {
-    /// Frames were extracted from the video; describes which.
+    /// Frames were extracted from the video; the text describes them.
     Filmed(String),
     /// No frames could be extracted from the video.
     NotFilmed(VideoFault),
@@ -45,7 +45,7 @@ pub enum AssessReply {
     NoRoom,
     /// Maximum bytes of concurrently decoded photographs. Waits for an answer.
     Needs(u64),
-    /// Validation of this photograph begins. If the process dies, it may be the cause.
+    /// Validation of this photograph begins. If the process dies, this photograph may be the cause.
     Begins(String),
     /// Validation of this photograph has ended.
     Ended(String),
@@ -81,8 +81,8 @@ pub enum VideoFaultKind {
     Missing,
     /// There is too little space for the frames.
     NoRoom,
-    /// The machine.
+    /// The machine is at fault.
     Ours,
-    /// The video.
+    /// The video is at fault.
     Video,
 }

@@ -21,12 +21,12 @@ const THUMBNAIL_SIDE: usize = 240;
 /// Validates the upload and prints replies on standard output; `answers` come from the service.
 ///
 /// # Errors
-/// When the service is gone, or the system refuses the limits.
+/// When the service has gone, or the system refuses the limits.
 pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<()> {
     limit(request.memory)?;
     if let Some(video) = &request.video {
         match film(video, request.room) {
-            Ok(told) => say(&AssessReply::Filmed(told))?,
+            Ok(report) => say(&AssessReply::Filmed(report))?,
             Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
         }
     }
@@ -49,7 +49,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
                     return;
                 }
             };
-            // If the pipe is closed, the service is gone and this process will end too.
+            // If the pipe is closed, the service has gone and this process will end too.
             let _ = say(&reply);
         },
     };
@@ -72,7 +72,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
     say(&last)
 }
 
-/// Writes a photograph's thumbnail, and where the photograph lies.
+/// Writes a photograph's thumbnail, and a file with the photograph's path.
 fn keep_small(dir: &Path, name: &str, file: &Path, small: &Image<Srgb>) -> Result<(), ImageError> {
     let path = dir.join(thumbnail(name));
     let folder = path.parent().unwrap_or(dir);
@@ -98,7 +98,7 @@ fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
     let name = video.file.file_name().unwrap_or_default().to_string_lossy();
     let stem = video.file.file_stem().unwrap_or_default().to_string_lossy();
     let wanted = Wanted { count: video.frames, into: &video.into, stem: &stem, room };
-    // It must not outlive this process.
+    // FFmpeg must not outlive this process.
     let command = guarded(&video.ffmpeg)
         .map_err(|source| VideoError::Io { path: "the running program".into(), source })?;
     let taken = take_frames(&command, &video.file, &wanted, &CancelToken::new())?;
@@ -118,13 +118,13 @@ fn fault(error: &VideoError) -> VideoFault {
     }
 }
 
-/// Requests memory and waits for it. Returns bytes.
+/// Requests memory and waits for it. Returns the bytes granted.
 fn borrow(bytes: u64, answers: &mut dyn BufRead) -> u64 {
     let mut answer = String::new();
     let asked = say(&AssessReply::Needs(bytes)).and_then(|()| answers.read_line(&mut answer));
     match asked.map(|_| answer.trim().parse()) {
         Ok(Ok(bytes)) => bytes,
-        // The service is gone, and this process will end too; with 0, photographs are decoded one
+        // The service has gone, and this process will end too; with 0, photographs are decoded one
         // at a time.
         _ => 0,
     }

@@ -1,7 +1,8 @@
 //! Outgoing requests to addresses given by users.
 //!
-//! Users must not reach through the server what they cannot reach themselves: addresses of inner
-//! networks are refused after name resolution, and the connection goes to the checked address.
+//! Users must not reach addresses through the server that they cannot reach themselves: addresses
+//! in internal networks are refused after name resolution, and the connection goes to the checked
+//! address.
 
 mod address;
 
@@ -21,8 +22,8 @@ const LONGEST: usize = 2000;
 /// The reason why an inner address is refused.
 pub const INNER: &str = "the name resolves to an address in an internal network";
 
-/// Parses a URL and checks its form, and that it names no address of an inner network, unless
-/// `inner` is set. A name may resolve to one later, when it is refused, too.
+/// Parses a URL. Checks its form and, unless `inner` is set, that it names no address in an
+/// internal network. A name may resolve to such an address later, and is then refused too.
 ///
 /// # Errors
 /// A description of what is wrong.
@@ -48,7 +49,7 @@ pub fn check_url(url: &str, inner: bool) -> Result<Uri, &'static str> {
 }
 
 /// Whether a host is this machine or an address that is not public. A host that ends in a number is
-/// an address, in whatever notation (WHATWG URL, 3.5); no public one is written other than in four
+/// an address, in whatever notation (WHATWG URL, 3.5); a public address is only written in four
 /// decimal parts.
 fn is_inner(host: &str) -> bool {
     let host = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
@@ -66,8 +67,8 @@ fn is_inner(host: &str) -> bool {
         || hexadecimal.is_some_and(|digits| digits.is_empty() || is_number(digits, 16))
 }
 
-/// An HTTP agent that allows each request `patience`, and addresses of inner networks if `inner` is
-/// set. It does not follow redirects: a new address would need a new check.
+/// An HTTP agent that allows each request `patience`, and addresses in internal networks if `inner`
+/// is set. It does not follow redirects: a new address would need a new check.
 pub fn agent(patience: Duration, inner: bool) -> Agent {
     let config = Agent::config_builder()
         .http_status_as_error(false)
@@ -79,7 +80,7 @@ pub fn agent(patience: Duration, inner: bool) -> Agent {
     Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
 }
 
-/// Why a request failed, in words.
+/// The reason why a request failed.
 pub fn reason(error: &Error) -> String {
     match error {
         Error::Other(error) => error.to_string(),
@@ -87,7 +88,7 @@ pub fn reason(error: &Error) -> String {
     }
 }
 
-/// Resolves names as usual and drops addresses of inner networks.
+/// Resolves names as usual and drops addresses in internal networks.
 #[derive(Debug)]
 struct Outer {
     inner: bool,

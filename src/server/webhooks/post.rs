@@ -10,8 +10,8 @@ use crate::webhooks::egress::{agent, reason};
 /// How long an endpoint may take to answer.
 const PATIENCE: Duration = Duration::from_secs(15);
 
-/// Sends a delivery and returns the status of the answer, or why there is none. `inner` allows
-/// addresses of inner networks.
+/// Sends a delivery and returns the status of the answer, or the reason why there is none. `inner`
+/// allows addresses in internal networks.
 pub(super) async fn post(
     url: String,
     signed: Signed,
@@ -19,7 +19,7 @@ pub(super) async fn post(
     inner: bool,
 ) -> Result<u16, String> {
     let (sender, receiver) = oneshot::channel();
-    // A dedicated thread: one that waits for a slow endpoint does not delay the server's stop.
+    // A dedicated thread: waiting for a slow endpoint does not delay the server's stop.
     let send = move || {
         // When the server stops, no one receives this.
         let _ = sender.send(send(&url, &signed, &body, inner));

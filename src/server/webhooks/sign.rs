@@ -58,7 +58,7 @@ impl Signed {
 mod tests {
     use super::*;
 
-    /// The example of the specification, as its own libraries test it.
+    /// The example from the specification, as tested by its own libraries.
     #[test]
     fn the_published_example_matches() {
         let secret = STANDARD.decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw").expect("base64");

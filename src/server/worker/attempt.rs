@@ -26,7 +26,7 @@ use crate::sharing;
 use crate::store::{Claim, JobError, JobRow, Lease, Progress, Settlement};
 use crate::validation;
 
-/// How long to wait, after the process has ended, for output of others in its group.
+/// How long to wait for output of other processes in the group after the job's process has ended.
 const DRAIN: Duration = Duration::from_secs(2);
 
 /// Why an attempt's loop ends.
@@ -95,7 +95,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     if let Ok(End::Stop(Settlement::Released)) = outcome {
         // Another worker continues from its files: let it save the current step.
         group.stop(app.limits.draining).await;
-        attempt.hear_out(&mut group).await;
+        attempt.drain_output(&mut group).await;
     } else {
         group.stop(app.limits.grace).await;
     }
@@ -106,7 +106,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     };
     attempt.log.line(&closing_line(&settlement));
     if attempt.is_video && !matches!(settlement, Settlement::Filmed { .. }) {
-        // A video that is made again begins anew.
+        // A remade video starts from scratch.
         remove(app.data.output(id).root()).await;
     }
     remove_live_picture(app, id).await;
@@ -115,15 +115,15 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     Ok(settlement)
 }
 
-/// Makes the folder of a job's output and the file of its options. Returns the command and the
-/// arguments of its process.
+/// Creates the output folder of a job and its options file. Returns the command and the arguments
+/// of its process.
 fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Vec<OsString>)> {
     let output = app.data.output(&job.id).root().to_owned();
     std::fs::create_dir_all(&output).map_err(ServerError::io(&output))?;
     let path = app.data.job(&job.id).join("options.json");
     let options = match &job.video_of {
         Some(_) => job.options.clone(),
-        // An older build may have stored options that there are no more.
+        // An older build may have stored options that no longer exist.
         None => Value::Object(Options::known(&job.options)),
     };
     write_atomically(&path, options.to_string().as_bytes()).map_err(ServerError::io(&path))?;
@@ -159,8 +159,8 @@ fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Ve
     Ok((command, arguments))
 }
 
-/// Fetches what a job begins with. `Some` if the attempt ends meanwhile: what it has fetched is
-/// whole, and nothing is made yet.
+/// Fetches the files that a job starts from. Returns `Some` if the attempt ends meanwhile: all that
+/// was fetched is complete, and nothing has been made yet.
 async fn prepare(
     app: &App,
     claim: &Claim,
@@ -247,8 +247,8 @@ impl Attempt<'_> {
                     None => return self.timed_out("ran", limits.wall).await,
                 },
             };
-            // However slow the database or the blob store is, events that end the attempt are
-            // handled.
+            // Events that end the attempt are handled even if the database or the blob store is
+            // slow.
             tokio::select! {
                 done = self.follow(due) => done?,
                 end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
@@ -257,7 +257,7 @@ impl Attempt<'_> {
     }
 
     /// Logs the remaining output of a stopped process; its events no longer count.
-    async fn hear_out(&mut self, group: &mut Group) {
+    async fn drain_output(&mut self, group: &mut Group) {
         while let Ok(Some(line)) = tokio::time::timeout(DRAIN, group.next_line()).await {
             let text = match line {
                 Line::Error(text) => text,
@@ -303,7 +303,7 @@ impl Attempt<'_> {
         };
         match serde_json::from_str::<Event>(&text) {
             Ok(event) => self.event(event).await,
-            // Output of tools on the wrong stream: worth keeping, not worth failing.
+            // Output of tools on the wrong stream is worth keeping, but is no failure.
             Err(_) => {
                 self.log.line(&text);
                 Ok(())
@@ -330,27 +330,27 @@ impl Attempt<'_> {
             Event::Failed { kind, detail, hint } => {
                 self.last_words = Some(LastWords::Failed { kind, detail, hint });
             }
-            told => {
+            event => {
                 // In order of arrival.
                 self.write_pending().await?;
-                if is_milestone(&told) {
+                if is_milestone(&event) {
                     self.publish().await?;
                 }
-                if !is_seen(&told) {
-                    self.log.line(&readable(&told));
+                if !is_seen(&event) {
+                    self.log.line(&readable(&event));
                 }
-                self.app.store.record(&self.lease, &told).await?;
+                self.app.store.record(&self.lease, &event).await?;
                 self.app.pass(Failpoint::Told);
             }
         }
         Ok(())
     }
 
-    /// Publishes the files so far to a shared blob store. If the store is away for a while, the
-    /// attempt goes on; its end, which must be published, waits for the store.
+    /// Publishes the files so far to a shared blob store. If the store is unavailable for a while,
+    /// the attempt continues; its end, which must be published, waits for the store.
     async fn publish(&self) -> Result<()> {
         if self.is_video {
-            // Nobody goes on with half a video.
+            // Half a video cannot be resumed.
             return Ok(());
         }
         match sharing::publish(self.app, &self.lease, false).await {
@@ -404,12 +404,12 @@ impl Attempt<'_> {
         }
     }
 
-    /// What its process is called.
+    /// The name of its process in messages.
     fn process(&self) -> &'static str {
         if self.is_video { "the video's process" } else { "the job's process" }
     }
 
-    /// What to do about it: the log of a video is for whoever runs the server.
+    /// What to do about it: the log of a video is for the server's operator.
     fn hint(&self, of_scene: &'static str) -> &'static str {
         if self.is_video {
             "Ask for a smaller one; the server's log may say more."
@@ -418,7 +418,8 @@ impl Attempt<'_> {
         }
     }
 
-    /// Makes the names of the results survive a power cut, as the word that they are there will.
+    /// Syncs the names of the results to disk: they must survive a power cut if the report of them
+    /// does.
     async fn sync_output(&self) -> Result<()> {
         let output = self.app.data.output(&self.lease.job).root().to_owned();
         let synced = {

@@ -1,4 +1,4 @@
-//! A worker's heartbeat. It runs in a task of its own, so that neither a slow blob store nor a full
+//! A worker's heartbeat. It runs in a separate task, so that neither a slow blob store nor a full
 //! pipe delays the extension of the lease.
 
 use tokio::sync::mpsc;
@@ -16,29 +16,29 @@ use crate::store::{Lease, Store};
 pub(super) enum Pulse {
     /// Cancellation was requested.
     Cancel,
-    /// Another worker has the job, or may claim it soon: no heartbeat got through for too long.
+    /// Another worker has the job or may claim it soon: no heartbeat has succeeded for too long.
     Lost,
 }
 
 /// A task that sends heartbeats until dropped.
 #[derive(Debug)]
 pub(super) struct Heartbeat {
-    told: mpsc::Receiver<Pulse>,
+    pulses: mpsc::Receiver<Pulse>,
     task: JoinHandle<()>,
 }
 
 impl Heartbeat {
     /// Starts to extend a lease that was just claimed.
     pub(super) fn begin(app: &App, lease: Lease) -> Self {
-        let (tell, told) = mpsc::channel(1);
+        let (sender, pulses) = mpsc::channel(1);
         let watcher = app.config.watcher;
-        let task = tokio::spawn(heartbeat(app.store.clone(), app.limits, watcher, lease, tell));
-        Self { told, task }
+        let task = tokio::spawn(heartbeat(app.store.clone(), app.limits, watcher, lease, sender));
+        Self { pulses, task }
     }
 
     /// Waits for a pulse that ends the work.
     pub(super) async fn next(&mut self) -> Pulse {
-        self.told.recv().await.unwrap_or(Pulse::Lost)
+        self.pulses.recv().await.unwrap_or(Pulse::Lost)
     }
 }
 
@@ -53,36 +53,36 @@ async fn heartbeat(
     limits: Limits,
     watcher: Option<Watcher>,
     lease: Lease,
-    tell: mpsc::Sender<Pulse>,
+    sender: mpsc::Sender<Pulse>,
 ) {
     let mut ticks = interval(limits.heartbeat);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut heard = Instant::now();
+    let mut extended_at = Instant::now();
     loop {
         ticks.tick().await;
-        let asked = Instant::now();
-        let left = limits.unheard.saturating_sub(heard.elapsed());
+        let requested_at = Instant::now();
+        let left = limits.unheard.saturating_sub(extended_at.elapsed());
         let extended = store.heartbeat(&lease, limits.lease_ms());
         let answer = tokio::time::timeout(left, extended).await;
         let pulse = match answer {
             Ok(Ok(false)) => {
                 // The lease counts from before the request to extend it.
-                heard = asked;
+                extended_at = requested_at;
                 if let Some(watcher) = watcher {
                     watcher(Failpoint::Extended);
                 }
                 continue;
             }
             Ok(Ok(true)) => {
-                heard = asked;
-                // It is heard once; until the attempt has ended, it keeps its lease.
-                let _ = tell.try_send(Pulse::Cancel);
+                extended_at = requested_at;
+                // One message suffices; the lease is kept until the attempt has ended.
+                let _ = sender.try_send(Pulse::Cancel);
                 continue;
             }
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
-            Ok(Err(error)) if heard.elapsed() < limits.unheard => {
+            Ok(Err(error)) if extended_at.elapsed() < limits.unheard => {
                 tracing::warn!(%error, job = lease.job, "cannot extend a lease");
-                // Sooner than the next heartbeat, which may be the last.
+                // Sooner than the next regular heartbeat, which may be the last.
                 ticks.reset_after(limits.heartbeat / 10);
                 continue;
             }
@@ -95,7 +95,7 @@ async fn heartbeat(
             }
         };
         // Nothing is left to extend.
-        let _ = tell.send(pulse).await;
+        let _ = sender.send(pulse).await;
         return;
     }
 }
@@ -109,7 +109,7 @@ mod tests {
     use crate::store::{JobKind, Machine};
 
     #[tokio::test]
-    async fn a_cancel_that_no_one_hears_does_not_end_the_lease() {
+    async fn an_unread_cancellation_does_not_end_the_lease() {
         let (_dir, store) = in_a_file().await;
         keep_capture(&store, "c", None, &[]).await;
         create(&store, "j").await;
@@ -117,15 +117,15 @@ mod tests {
         let limits = Limits { lease, heartbeat, ..Limits::default() };
         let claim = store.claim_fit(JobKind::Scene, "w", limits.lease_ms(), &[], Machine::ANY);
         let lease = claim.await.expect("claimed").expect("a job").lease;
-        let (tell, mut told) = mpsc::channel(1);
-        let beats = super::heartbeat(store.clone(), limits, None, lease, tell);
+        let (sender, mut pulses) = mpsc::channel(1);
+        let beats = super::heartbeat(store.clone(), limits, None, lease, sender);
         let beats = tokio::spawn(beats);
         store.request_cancel("j").await.expect("cancelled");
-        // As long as two leases, files are fetched.
+        // Files are fetched for as long as two leases.
         tokio::time::sleep(2 * limits.lease).await;
         let lost = store.release_expired(|deaths| panic!("lost {deaths} times")).await;
         assert_eq!(lost.expect("looked"), [""; 0]);
-        assert_eq!(told.recv().await, Some(Pulse::Cancel));
+        assert_eq!(pulses.recv().await, Some(Pulse::Cancel));
         beats.abort();
     }
 }

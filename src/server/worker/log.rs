@@ -22,7 +22,7 @@ impl LogWriter {
         Ok(Self { file, left })
     }
 
-    /// Appends one line, unless the log is full. A log that cannot be written does not stop a job.
+    /// Appends one line unless the log is full. A log that cannot be written does not stop a job.
     pub fn line(&mut self, text: &str) {
         if self.left == 0 {
             return;
@@ -47,7 +47,7 @@ pub struct Page {
     pub lines: Vec<String>,
     /// Offset of the next page, in bytes.
     pub next_offset: u64,
-    /// Whether there is nothing more for now.
+    /// Whether nothing more is available for now.
     pub end: bool,
 }
 

@@ -1,7 +1,7 @@
-//! Kills processes that a killed server has left running.
+//! Kills processes left running by a killed server.
 //!
-//! A job's process asks the kernel to end it with its server, but processes that it has started,
-//! such as COLMAP, may go on, write into the job's directory and use the machine.
+//! A job's process asks the kernel to end it with its server, but its own children, such as COLMAP,
+//! may continue, write into the job's directory and use the machine.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use crate::process::JOB_VARIABLE;
 
-/// Kills every process marked with one of `jobs`. Returns how many.
+/// Kills every process marked with one of `jobs`. Returns their number.
 pub fn kill_orphans(jobs: &[String]) -> usize {
     let Ok(processes) = fs::read_dir("/proc") else {
         return 0;
@@ -24,7 +24,7 @@ pub fn kill_orphans(jobs: &[String]) -> usize {
 }
 
 fn marked(process: &Path, jobs: &[String]) -> bool {
-    // Processes of other users cannot be read, and none of them is ours.
+    // Processes of other users cannot be read, and none of them belongs to a job.
     let Ok(environment) = fs::read(process.join("environ")) else {
         return false;
     };

@@ -4,7 +4,7 @@ use fled_core::event::{Event, Stage};
 
 use crate::store::Settlement;
 
-/// Returns whether an event is only for live viewers: they are too many for the log.
+/// Returns whether an event is only for live viewers: there are too many of them for the log.
 pub(super) fn is_seen(event: &Event) -> bool {
     matches!(event, Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. })
 }
@@ -33,7 +33,7 @@ pub(super) fn readable(event: &Event) -> String {
     }
 }
 
-/// A stage as the log names it; the poses belong to no round.
+/// The name of a stage in the log; the poses belong to no round.
 fn place(stage: Stage, round: u32) -> String {
     if round == 0 { stage.name().to_owned() } else { format!("round {round}: {}", stage.name()) }
 }

@@ -1,4 +1,4 @@
-//! Hashes of the content of files, independent of place and time.
+//! Hashes of the content of files, independent of location and time.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};

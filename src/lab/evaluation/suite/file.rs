@@ -40,7 +40,7 @@ pub struct Suite {
     pub captures: Vec<CaptureEntry>,
     /// The configurations; the first is the baseline of the others.
     pub configurations: Vec<Configuration>,
-    /// The share of a ceiling that is to be reported.
+    /// The share of a ceiling to report.
     pub gain: Option<Gain>,
 }
 
@@ -150,7 +150,7 @@ impl Suite {
     }
 
     /// Reduces the suite to the selection. The first configuration stays, and so do those from
-    /// whose time others derive their steps.
+    /// whose times others derive their steps.
     ///
     /// # Errors
     /// [`SuiteError::Wrong`] for an unknown name, or when no capture is left.
@@ -201,7 +201,7 @@ impl Suite {
         Some(Timing { time_of, rate_of })
     }
 
-    /// Checks the suite; an error names the key.
+    /// Checks the suite; the error names the key.
     fn check(&self) -> Result<(), String> {
         if self.seeds == 0 {
             return Err("`seeds` is 0: nothing would be run".to_owned());

@@ -1,5 +1,5 @@
-//! Records of finished work: a file per run and per evaluation, named by the hash of all that
-//! determines it.
+//! Records of finished work: a file per run and per evaluation, named by the hash of all its
+//! inputs.
 //!
 //! ```text
 //! runs/NAME.json  runs/NAME/  evaluations/NAME.json  evaluations/NAME/  poses/PROGRAM/
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_of_other_facts_than_its_name_is_refused() {
+    fn a_record_whose_facts_contradict_its_name_is_refused() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let records = Records::new(folder.path());
         records.write(Kind::Run, &facts(1), &Outcome::Finished(0.5)).expect("written");

@@ -1,4 +1,4 @@
-//! Makes the runs of a suite in order; recorded runs are not repeated, failed ones are.
+//! Makes the runs of a suite in order. Recorded runs are not repeated; failed runs are.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -18,14 +18,14 @@ use crate::evaluation::report::Evaluation;
 use fled_core::metrics::Report;
 use fled_core::run_folder::RunFolder;
 
-/// Steps derived from a time are rounded to a multiple of this: the clock is no more accurate.
+/// Steps derived from a time are rounded to a multiple of this: the timing is no more precise.
 const STEPS_ROUNDED_TO: f64 = 100.0;
 
 /// Starts the program with these arguments and waits for its end; returns its last error line if it
 /// failed.
 pub type Start<'a> = dyn FnMut(&[OsString]) -> Result<Result<(), String>, SuiteError> + 'a;
 
-/// The means of running a suite.
+/// The callbacks for running a suite.
 pub struct Hands<'a> {
     /// Starts the program.
     pub start: &'a mut Start<'a>,
@@ -33,14 +33,14 @@ pub struct Hands<'a> {
     pub tell: &'a mut dyn FnMut(&str),
 }
 
-/// Runs a suite and returns its runs in the order in which they were due. Without hands, only
+/// Runs a suite and returns its runs in the order in which they were due. Without `hands`, only
 /// returns the recorded runs.
 ///
-/// Every configuration has one seed on all captures before any has its second; configurations whose
-/// steps derive from a time come after the others.
+/// Every configuration runs one seed on all captures before any runs its second. Configurations
+/// whose steps derive from a time come after the others.
 ///
 /// # Errors
-/// [`SuiteError`], before the first run if the fault can be known by then.
+/// [`SuiteError`], before the first run if the fault can be detected by then.
 pub fn run(
     suite: &Suite,
     setup: &Setup,
@@ -105,22 +105,21 @@ struct Carrier<'a, 'h> {
     due: usize,
 }
 
-/// A call of the program.
+/// A call to the program.
 struct Task<'a> {
     kind: Kind,
     title: String,
     words: Vec<OsString>,
-    /// The folder that it fills.
+    /// The folder that the program fills.
     folder: PathBuf,
-    /// The file in it that is recorded.
+    /// The file in the folder that is recorded.
     result: PathBuf,
     /// Names the inputs that no longer match the facts.
     changed: &'a dyn Fn() -> Result<Vec<&'static str>, SuiteError>,
 }
 
 impl Carrier<'_, '_> {
-    /// Checks everything that can be wrong before the first run: options, captures, truth,
-    /// networks.
+    /// Checks all that can be checked before the first run: options, captures, truth, networks.
     fn check(&self) -> Result<(), SuiteError> {
         for capture in &self.suite.captures {
             for configuration in &self.suite.configurations {
@@ -164,7 +163,7 @@ impl Carrier<'_, '_> {
         }))
     }
 
-    /// The failure of a run that lacks another one, unless no runs are made.
+    /// The failure of a run that depends on a missing one; `None` if no runs are made.
     fn lacking(&self, what: &str) -> Option<Outcome<Judged>> {
         self.hands.as_ref()?;
         Some(Outcome::Failed(what.to_owned()))
@@ -210,8 +209,8 @@ impl Carrier<'_, '_> {
         };
         let outcome = self.done(&task, facts)?;
         if let (Some(Outcome::Finished(_)), Some(_)) = (&outcome, &self.hands) {
-            // Most of a run's size serves only to resume it. Runs recorded earlier have lost it
-            // already.
+            // Most of a run's size is needed only to resume it. Runs recorded earlier have already
+            // lost it.
             let _ = fs::remove_dir_all(RunFolder::new(&folder).work().root());
         }
         Ok(outcome)
@@ -295,7 +294,7 @@ impl Carrier<'_, '_> {
     }
 }
 
-/// Reads the result of a task. A missing or invalid file fails this run alone.
+/// Reads the result of a task. A missing or invalid file fails only this run.
 fn read<T: DeserializeOwned>(task: &Task<'_>) -> Outcome<T> {
     let read = fs::read(&task.result).map_err(|error| error.to_string());
     let parsed =

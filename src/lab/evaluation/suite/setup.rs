@@ -1,4 +1,4 @@
-//! All that determines a run and an evaluation, and the arguments that start them.
+//! All inputs of a run and an evaluation, and the arguments that start them.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,7 +14,7 @@ use super::file::{CaptureEntry, Configuration, OptionSet, Suite};
 use fled_core::deblur::Model;
 use fled_core::pipeline::config::{Options, Preset};
 
-/// All that determines the result of a run.
+/// All inputs that determine the result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunFacts {
     /// Hash of the program.
@@ -27,11 +27,11 @@ pub struct RunFacts {
     pub capture: String,
     /// Hashes of the networks that the options name.
     pub networks: BTreeMap<String, String>,
-    /// The pose cache, if not the records' own.
+    /// The pose cache, if it is not that of the records.
     pub poses: Option<PathBuf>,
 }
 
-/// All that determines the result of an evaluation.
+/// All inputs that determine the result of an evaluation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct EvaluationFacts {
     /// Name of the run's record.
@@ -42,7 +42,8 @@ pub struct EvaluationFacts {
     pub lpips: Option<String>,
     /// Whether views outside the training views' path are left out.
     pub inside: bool,
-    /// Name of the record of the run whose scene decides what is seen; `None` is the run itself.
+    /// Name of the record of the run whose scene decides which pixels are seen; `None` is the run
+    /// itself.
     pub seen_from: Option<String>,
 }
 
@@ -62,7 +63,7 @@ pub struct RunOrder {
 pub struct EvaluationOrder {
     /// The run's folder.
     pub run: PathBuf,
-    /// The folder of the run whose scene decides what is seen.
+    /// The folder of the run whose scene decides which pixels are seen.
     pub seen_from: Option<PathBuf>,
     /// Sharp photographs and their cameras.
     pub truth: PathBuf,
@@ -131,7 +132,7 @@ pub struct Setup {
     pub checksum: String,
     machine: BTreeMap<String, String>,
     models: Vec<PathBuf>,
-    /// The pose cache, if not the records' own.
+    /// The pose cache, if it is not that of the records.
     pub poses: Option<PathBuf>,
     /// Hashes computed so far: captures are large.
     known: RefCell<BTreeMap<PathBuf, String>>,

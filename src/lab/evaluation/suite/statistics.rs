@@ -2,7 +2,7 @@
 //!
 //! Only runs that differ in nothing but the configuration are compared: the same capture, seed and
 //! test view. A capture's difference is the mean over its pairs. The bootstrap resamples captures,
-//! not views, because views of one capture share its light, its poses and its luck.
+//! not views, because the views of a capture share its light, its poses and its luck.
 
 use std::collections::BTreeSet;
 
@@ -15,15 +15,15 @@ use crate::evaluation::report::{Scores, TestView, ViewScores};
 
 /// Resamples of the bootstrap.
 const RESAMPLES: usize = 10_000;
-/// Seed of the bootstrap, so that the same runs have the same interval.
+/// Seed of the bootstrap: the same runs give the same interval.
 const SEED: u64 = 0x5017e;
 /// Percentiles that bound 95 % of the resamples.
 const BOUNDS: [f64; 2] = [0.025, 0.975];
-/// Fewest captures for a claim: the interval of fewer is far too narrow.
+/// Minimum number of captures for a claim: the interval of fewer is far too narrow.
 pub const LEAST_CAPTURES: usize = 6;
-/// Fewest seeds for a claim: with fewer, the effect of the seed itself would not show.
+/// Minimum number of seeds for a claim: with fewer, the effect of the seed itself would not show.
 pub const LEAST_SEEDS: usize = 2;
-/// Least distance from floor to ceiling, dB; a share of less is noise.
+/// Minimum distance from floor to ceiling, dB; below it, a share is noise.
 pub const LEAST_CEILING_DB: f64 = 1.0;
 
 /// A measure of quality.
@@ -66,7 +66,7 @@ impl Measure {
 pub enum Cameras {
     /// Registered to the sharp photographs: the quality of the scene.
     Registered,
-    /// Mapped from the truth: adds the effect of camera errors.
+    /// Mapped from the truth: also contains the effect of camera errors.
     Mapped,
 }
 
@@ -184,13 +184,13 @@ fn of_capture(
     })
 }
 
-/// The share of the way from `over` to the ceiling that a configuration reaches.
+/// How much of the way from `over` to the ceiling a configuration covers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reached {
     /// By capture.
     pub captures: Vec<CaptureReached>,
     /// Mean share over the captures whose ceiling is more than [`LEAST_CEILING_DB`] above; `None`
-    /// without any.
+    /// if there are none.
     pub mean: Option<f64>,
     /// Its 95 % interval, as for a difference.
     pub interval: Option<[f64; 2]>,
@@ -257,7 +257,7 @@ pub fn interval(values: &[f64]) -> Option<[f64; 2]> {
     Some(BOUNDS.map(|share| percentile(&means, share)))
 }
 
-/// The value below which a share of the sorted values lies, linearly interpolated.
+/// The value below which this share of the sorted values lies, linearly interpolated.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let at = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);

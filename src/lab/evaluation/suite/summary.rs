@@ -71,7 +71,7 @@ pub struct RowScores {
     pub total_seconds: f64,
 }
 
-/// The share of the way from one configuration to another that a third reaches.
+/// How much of the way from one configuration to another a third covers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Share {
     /// The configuration to be judged.
@@ -178,7 +178,7 @@ impl RowScores {
         }
     }
 
-    /// Means of each field over those that have it; `None` without any.
+    /// Means of each field over the items that have it; `None` if there are none.
     fn mean(of: &[Self]) -> Option<Self> {
         let always = |field: fn(&Self) -> f64| mean(&of.iter().map(field).collect::<Vec<_>>());
         let where_there = |field: fn(&Self) -> Option<f64>| {

@@ -13,7 +13,7 @@ use pretended::{Mischief, Pretended, runs};
 
 #[test]
 fn every_configuration_finishes_a_seed_before_the_next() {
-    let (_, said) = Pretended::new().well();
+    let (_, calls) = Pretended::new().well();
     // fled's 2 x 1000 steps took 200 s; at plain's 10 steps per second that makes 2000 steps.
     let seed = |seed: u32| {
         ["rounds=1 seed=S steps=100", "seed=S steps=1000", "rounds=1 seed=S steps=2000"]
@@ -21,13 +21,13 @@ fn every_configuration_finishes_a_seed_before_the_next() {
             .flat_map(|set| ["fox", "hare"].map(|capture| format!("{capture}/dark: {set}")))
             .map(move |run| run.replace('S', &seed.to_string()))
     };
-    assert_eq!(runs(&said), seed(0).chain(seed(1)).collect::<Vec<_>>());
+    assert_eq!(runs(&calls), seed(0).chain(seed(1)).collect::<Vec<_>>());
 }
 
 #[test]
 fn every_run_is_judged_where_the_first_sees_the_scene() {
-    let (summary, said) = Pretended::new().well();
-    let judged: Vec<&String> = said.iter().filter(|line| line.starts_with("eval ")).collect();
+    let (summary, calls) = Pretended::new().well();
+    let judged: Vec<&String> = calls.iter().filter(|line| line.starts_with("eval ")).collect();
     assert_eq!(judged.len(), 12);
     let name = |configuration: &str| {
         let mut of = summary.runs.iter();
@@ -48,8 +48,8 @@ fn every_run_is_judged_where_the_first_sees_the_scene() {
 fn recorded_runs_are_not_repeated() {
     let pretended = Pretended::new();
     let (first, _) = pretended.well();
-    let (again, said) = pretended.well();
-    assert_eq!((again, said), (first.clone(), vec![]));
+    let (again, calls) = pretended.well();
+    assert_eq!((again, calls), (first.clone(), vec![]));
     let (finished, _) = pretended.done(None);
     assert_eq!(finished.expect("a suite"), first);
     let work = fs::read_dir(pretended.top().join("out/runs")).expect("runs");
@@ -57,14 +57,14 @@ fn recorded_runs_are_not_repeated() {
     assert_eq!(work.count(), 0, "only a resumed run reads it");
 }
 
-/// Number of runs and evaluations that the program is started for after the suite changed.
+/// The number of runs and evaluations started after the suite changed.
 fn started_after(change: impl Fn(&mut Pretended)) -> (usize, usize) {
     let mut pretended = Pretended::new();
     pretended.well();
     change(&mut pretended);
-    let (_, said) = pretended.well();
-    let evaluations = said.iter().filter(|line| line.starts_with("eval "));
-    (runs(&said).len(), evaluations.count())
+    let (_, calls) = pretended.well();
+    let evaluations = calls.iter().filter(|line| line.starts_with("eval "));
+    (runs(&calls).len(), evaluations.count())
 }
 
 #[test]
@@ -107,8 +107,8 @@ fn a_changed_network_file_invalidates_its_runs() {
     network(&mut pretended, "identity3.onnx");
     pretended.well();
     network(&mut pretended, "root3.onnx");
-    let (_, said) = pretended.well();
-    assert_eq!(runs(&said).len(), 4);
+    let (_, calls) = pretended.well();
+    assert_eq!(runs(&calls).len(), 4);
 }
 
 #[test]
@@ -131,8 +131,8 @@ fn a_failed_run_is_reported_and_repeated() {
     let text = finished.expect("a suite").markdown();
     assert!(text.contains("- failed: fox, fled, seed 1: no poses"), "{text}");
 
-    let (summary, said) = pretended.well();
-    assert_eq!(runs(&said).len(), 2, "{said:?}");
+    let (summary, calls) = pretended.well();
+    assert_eq!(runs(&calls).len(), 2, "{calls:?}");
     assert!(!summary.markdown().contains("failed"));
 }
 
@@ -179,10 +179,10 @@ fn a_run_whose_inputs_changed_is_not_recorded() {
             fs::write(&path, "another").expect("file");
             None
         };
-        let (outcome, said) = pretended.done(Some(swaps));
-        let told = outcome.expect_err("changed").to_string();
-        assert!(told.contains("changed while a run was made of it"), "{told}");
-        assert_eq!(said.len(), 1);
+        let (outcome, calls) = pretended.done(Some(swaps));
+        let message = outcome.expect_err("changed").to_string();
+        assert!(message.contains("changed while a run was made of it"), "{message}");
+        assert_eq!(calls.len(), 1);
         fs::write(&path, "another").expect("file");
         let (finished, _) = pretended.done(None);
         assert_eq!(finished.expect("a suite").runs, []);
@@ -194,8 +194,8 @@ fn invalid_options_are_reported_before_the_first_run() {
     let wrong = |change: &dyn Fn(&mut Value)| {
         let mut pretended = Pretended::new();
         change(&mut pretended.content);
-        let (outcome, said) = pretended.done(Some(&|_| None));
-        assert_eq!(said, Vec::<String>::new());
+        let (outcome, calls) = pretended.done(Some(&|_| None));
+        assert_eq!(calls, Vec::<String>::new());
         outcome.expect_err("wrong").to_string()
     };
     let option = wrong(&|c| c["configurations"][2]["set"] = json!({"round": 2}));
@@ -209,8 +209,8 @@ fn invalid_options_are_reported_before_the_first_run() {
 #[test]
 fn builds_do_not_share_poses() {
     let pretended = Pretended::new();
-    let cache = |said: &[String]| {
-        let mut words = said[0].split(' ').skip_while(|word| *word != "--cache");
+    let cache = |calls: &[String]| {
+        let mut words = calls[0].split(' ').skip_while(|word| *word != "--cache");
         words.nth(1).expect("a folder").to_owned()
     };
     let (_, first) = pretended.well();

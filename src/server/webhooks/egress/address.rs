@@ -1,7 +1,7 @@
 //! Classification of public addresses.
 //!
-//! Anyone who may add a webhook can make the server connect to its URL. Services on inner networks,
-//! such as the metadata service of a cloud, trust everyone who can reach them.
+//! Anyone who may add a webhook can make the server connect to its URL. Services on internal
+//! networks, such as the metadata service of a cloud, trust everyone who can reach them.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 

@@ -87,9 +87,9 @@ fn an_error_names_the_wrong_key() {
         (|c| c["set"] = json!([]), "invalid type: sequence, expected a map"),
     ];
     for (change, fault) in faults {
-        let told = suite(change).expect_err(fault);
-        assert!(told.starts_with("suite.json: "), "{told}");
-        assert!(told.contains(fault), "{fault} in {told}");
+        let message = suite(change).expect_err(fault);
+        assert!(message.starts_with("suite.json: "), "{message}");
+        assert!(message.contains(fault), "{fault} in {message}");
     }
 }
 
@@ -121,9 +121,9 @@ fn a_time_needs_its_run_and_one_of_the_same_speed() {
         ),
     ];
     for (change, fault) in faults {
-        let told = suite(change).expect_err(fault);
-        assert!(told.contains("`seconds_of` of `as long`: "), "{told}");
-        assert!(told.contains(fault), "{fault} in {told}");
+        let message = suite(change).expect_err(fault);
+        assert!(message.contains("`seconds_of` of `as long`: "), "{message}");
+        assert!(message.contains(fault), "{fault} in {message}");
     }
 }
 
@@ -147,11 +147,11 @@ fn a_selection_keeps_the_first_and_its_dependencies() {
 
     let selection = Selection { captures: vec!["hare".to_owned()], ..Selection::default() };
     let unknown = suite(|_| ()).expect("a suite").selected(&selection);
-    let told = unknown.expect_err("no hare").to_string();
-    assert_eq!(told, "no capture is named `hare`; there are fox");
+    let message = unknown.expect_err("no hare").to_string();
+    assert_eq!(message, "no capture is named `hare`; there are fox");
     let none = suite(|c| c["captures"] = json!([])).expect("a suite");
-    let told = none.selected(&Selection::default()).expect_err("nothing");
-    assert!(told.to_string().contains("no `captures`"), "{told}");
+    let message = none.selected(&Selection::default()).expect_err("nothing");
+    assert!(message.to_string().contains("no `captures`"), "{message}");
 }
 
 #[test]
@@ -165,8 +165,8 @@ fn captures_may_come_from_a_separate_list() {
     assert_eq!(read.expect("a list").captures[0].truth, folder.path().join("t"));
     std::fs::write(&path, list(json!({"dark": "d"})).to_string()).expect("written");
     let lacking = suite(|_| ()).expect("a suite").with_captures_of(&path);
-    let told = lacking.expect_err("no sharp").to_string();
-    assert!(told.contains("there is no `sharp`"), "{told}");
+    let message = lacking.expect_err("no sharp").to_string();
+    assert!(message.contains("there is no `sharp`"), "{message}");
 }
 
 #[test]
@@ -176,8 +176,8 @@ fn an_assignment_has_the_type_of_its_option() {
     assert_eq!(set("size=420")["size"], json!(420));
     assert_eq!(set("held_out=5")["held_out"], json!("5"));
     for (wrong, fault) in [("sise=1", "`sise`"), ("steps", "key=value"), ("seed=1", "`seeds`")] {
-        let told = assign(wrong).expect_err(wrong).to_string();
-        assert!(told.contains(fault), "{told}");
+        let message = assign(wrong).expect_err(wrong).to_string();
+        assert!(message.contains(fault), "{message}");
     }
 }
 

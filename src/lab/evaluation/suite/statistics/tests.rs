@@ -50,12 +50,12 @@ fn every_measure_and_camera_reads_its_own_score() {
     assert_eq!(Measure::PsnrCcSeen.of(&scores), Some(21.0));
     scores.seen = None;
     assert_eq!(Measure::PsnrCcSeen.of(&scores), None);
-    // The mapped scores of a made-up view are 5 dB lower.
+    // The mapped scores of a synthetic view are 5 dB lower.
     assert_eq!(Cameras::Mapped.of(&view("a", 20.0)).all.psnr_cc_db, 15.0);
 }
 
 /// The values are 1 to 10: the resamples' means have mean 5.5 and the standard error of the values
-/// themselves, 2.8723 / sqrt(10), and 95 % of them lie within 1.96 of it.
+/// themselves, 2.8723 / sqrt(10), and 95 % of them lie within 1.96 standard errors of it.
 #[test]
 fn the_interval_is_that_of_the_mean() {
     let values: Vec<f64> = (1..=10).map(f64::from).collect();

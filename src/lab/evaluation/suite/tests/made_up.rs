@@ -1,4 +1,4 @@
-//! Made-up runs with the scores that a test needs.
+//! Synthetic runs with the scores that a test needs.
 
 use crate::evaluation::report::{Evaluation, Scores, TestView, ViewScores};
 use crate::evaluation::suite::outcome::{Judged, Outcome, SuiteRun};

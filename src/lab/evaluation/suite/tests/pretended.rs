@@ -76,12 +76,12 @@ impl Pretended {
         &self,
         mischief: Option<Mischief<'_>>,
     ) -> (Result<Summary, SuiteError>, Vec<String>) {
-        let mut said = Vec::new();
+        let mut calls = Vec::new();
         let mut start = |words: &[OsString]| {
             let words: Vec<&str> = words.iter().map(|word| word.to_str().expect("UTF-8")).collect();
             let line = words.join(" ").replace(&format!("{}/", self.top().display()), "");
             let failure = mischief.and_then(|mischief| mischief(&line));
-            said.push(line);
+            calls.push(line);
             if let Some(line) = failure {
                 return Ok(Err(line));
             }
@@ -101,13 +101,13 @@ impl Pretended {
             let runs = run(&suite, &setup, &records, hands)?;
             Ok(Summary::new(&suite, runs))
         })();
-        (outcome, said)
+        (outcome, calls)
     }
 
     /// Like [`Self::done`], with a program that succeeds.
     pub fn well(&self) -> (Summary, Vec<String>) {
-        let (outcome, said) = self.done(Some(&|_| None));
-        (outcome.expect("a suite"), said)
+        let (outcome, calls) = self.done(Some(&|_| None));
+        (outcome.expect("a suite"), calls)
     }
 }
 
@@ -130,8 +130,8 @@ fn pretend(words: &[&str]) {
         return;
     }
     let psnr = fs::read_to_string(Path::new(words[1]).join("psnr")).expect("a run");
-    let said = evaluation(&[("a", psnr.parse().expect("dB"))]);
-    let text = serde_json::to_string(&said).expect("JSON");
+    let judged = evaluation(&[("a", psnr.parse().expect("dB"))]);
+    let text = serde_json::to_string(&judged).expect("JSON");
     // Fails where a test has blocked the path.
     let _ = fs::write(out.join("evaluation.json"), text);
 }
@@ -157,8 +157,8 @@ fn report(rounds: u64, steps: u64) -> String {
 }
 
 /// The calls that are runs, each as its capture and its options.
-pub fn runs(said: &[String]) -> Vec<String> {
-    let runs = said.iter().filter(|line| line.starts_with("run "));
+pub fn runs(calls: &[String]) -> Vec<String> {
+    let runs = calls.iter().filter(|line| line.starts_with("run "));
     runs.map(|line| {
         let words: Vec<&str> = line.split(' ').collect();
         let set = words.iter().filter(|word| word.contains('='));
