@@ -298,7 +298,7 @@ fn middle_difference(
     (deviation.is_finite() && deviation > 0.0).then_some(deviation)
 }
 
-/// Tells the absolute difference of every value that counts.
+/// Passes the absolute difference of every value that counts to a callback.
 fn differences(
     photograph: &Image,
     render: &Image,
