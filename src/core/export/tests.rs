@@ -69,7 +69,7 @@ fn names(bytes: &[u8]) -> Vec<String> {
 }
 
 #[test]
-fn restored_views_are_in_the_zip_as_they_are_on_the_disk() {
+fn the_zip_has_the_restored_views_unchanged() {
     let (_folder, run) = result();
     let bytes = written(Export::Restored, &run, None);
     assert_eq!(names(&bytes), ["a.png", "b b.png", "c.png"]);
@@ -84,7 +84,7 @@ fn restored_views_are_in_the_zip_as_they_are_on_the_disk() {
 }
 
 #[test]
-fn a_zip_of_restored_views_names_them_and_packs_each() {
+fn a_zip_of_restored_views_names_and_compresses_each() {
     let (_folder, run) = result();
     let bytes = written(Export::Restored, &run, None);
     let mut archive = ZipArchive::new(Cursor::new(&bytes)).expect("a zip");
@@ -122,7 +122,7 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
 }
 
 #[test]
-fn the_compressed_scene_is_as_large_as_it_was_said_to_be() {
+fn the_compressed_scene_has_the_announced_size() {
     let (_folder, run) = result();
     let said = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
     let bytes = written(Export::CompressedScene, &run, Some(1));
@@ -133,7 +133,7 @@ fn the_compressed_scene_is_as_large_as_it_was_said_to_be() {
 }
 
 #[test]
-fn what_is_not_there_is_told_before_anything_is_written() {
+fn missing_inputs_are_reported_before_anything_is_written() {
     let (_folder, run) = result();
     for export in Export::ALL {
         let error = export.prepare(&run, Some(2)).expect_err("no such round");

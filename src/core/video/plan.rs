@@ -1,4 +1,4 @@
-//! What is wanted of a video.
+//! The request for a video.
 
 use glam::DMat3;
 use serde::{Deserialize, Serialize};
@@ -8,28 +8,28 @@ use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, NamedCamera, Split};
 use crate::run_folder::{PictureSize, Viewpoint};
 
-/// Longest video, s.
+/// Maximum duration, s.
 pub const MOST_SECONDS: f64 = 60.0;
 
-/// Most pictures a second.
+/// Maximum pictures a second.
 pub const MOST_FPS: u32 = 30;
 
 /// Longest side, px.
 pub const MOST_SIDE: usize = 1920;
 
-/// Most poses of a path.
+/// Maximum number of poses of a path.
 pub const MOST_POSES: usize = 100;
 
 /// Shortest side, px.
 const LEAST_SIDE: usize = 64;
 
-/// How long a video is where nobody says.
+/// Default duration, s.
 const SECONDS: f64 = 8.0;
 
-/// Pictures a second where nobody says.
+/// Default pictures a second.
 const FPS: u32 = 24;
 
-/// Largest number of a pose: UTM in millimetres has 1e10.
+/// Largest number in a pose: UTM in millimetres has 1e10.
 const LARGEST: f64 = 1e12;
 
 /// Which way the camera goes.
@@ -91,11 +91,11 @@ pub struct Plan {
     pub poses: Option<Vec<Key>>,
 }
 
-/// Why a plan is none.
+/// Why a plan is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct PlanError {
-    /// Which part of the plan is at fault.
+    /// The field at fault.
     pub field: &'static str,
     /// A sentence without its full stop.
     pub message: String,
@@ -108,7 +108,7 @@ impl PlanError {
 }
 
 impl Plan {
-    /// A video of this kind, with nothing else said.
+    /// A video of this kind, with defaults.
     pub fn new(kind: Kind) -> Self {
         Self {
             kind,
@@ -129,7 +129,7 @@ impl Plan {
         self.fps.unwrap_or(FPS)
     }
 
-    /// How long it is, s.
+    /// Its duration, s.
     pub fn seconds(&self) -> f64 {
         let poses = self.poses.iter().flatten().skip(1);
         match self.kind {
@@ -138,15 +138,15 @@ impl Plan {
         }
     }
 
-    /// How many pictures it has.
+    /// Its number of pictures.
     pub fn frames(&self) -> usize {
         ((self.seconds() * f64::from(self.fps())).round() as usize).max(1)
     }
 
-    /// Whether all that is said is within its bounds and belongs to its kind.
+    /// Checks that all fields are within their bounds and belong to the kind.
     ///
     /// # Errors
-    /// [`PlanError`] for the first thing that is not.
+    /// [`PlanError`] for the first that is not.
     pub fn check(&self) -> Result<(), PlanError> {
         let of_kinds: [(&'static str, bool, &[Kind]); 5] = [
             ("seconds", self.seconds.is_some(), &[Kind::Orbit, Kind::Cameras]),
@@ -209,11 +209,12 @@ impl Plan {
         Ok(())
     }
 
-    /// The camera of every picture, in a scene whose views have these cameras; all have one size,
-    /// with even sides, as H.264 wants them.
+    /// The camera of every picture, for a scene whose views have these cameras; all have one size,
+    /// with even sides, as H.264 requires.
     ///
     /// # Errors
-    /// [`PlanError`] for a plan that is out of bounds, and cameras that do not say where to go.
+    /// [`PlanError`] for a plan that is out of bounds, and for cameras that do not determine a
+    /// path.
     pub fn cameras(&self, views: &[NamedCamera]) -> Result<Vec<Camera>, PlanError> {
         self.check()?;
         let nowhere = |why: &str| PlanError::new("kind", why.to_owned());
@@ -245,7 +246,7 @@ impl Plan {
         way.iter().map(fitted).collect()
     }
 
-    /// The poses, each at its second, with the first view's field of view.
+    /// The poses, each at its time, with the first view's field of view.
     fn keys(&self, first: &NamedCamera) -> Vec<(f64, Camera)> {
         let mut time = 0.0;
         let poses = self.poses.iter().flatten().enumerate();
@@ -270,7 +271,7 @@ impl Plan {
             (Some(width), None) => (width, width * high / wide),
             (None, Some(height)) => (height * wide / high, height),
             (None, None) => {
-                // Views of any size make a video.
+                // Views of any size give a valid video.
                 let scale = (MOST_SIDE as f64 / wide.max(high)).min(1.0);
                 let scale = scale.max(LEAST_SIDE as f64 / wide.min(high));
                 (wide * scale, high * scale)
@@ -291,7 +292,7 @@ impl Plan {
 }
 
 impl Key {
-    /// Whether it is a rotation and a translation, of numbers that one can compute with.
+    /// Whether it is a rotation and a translation with numbers in a usable range.
     fn is_rigid(&self) -> bool {
         let rows = &self.world_to_camera;
         let column = |i: usize| glam::DVec3::new(rows[0][i], rows[1][i], rows[2][i]);
