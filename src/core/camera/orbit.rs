@@ -4,8 +4,8 @@ use glam::{DMat3, DVec3};
 
 use super::{Camera, Intrinsics, NamedCamera};
 
-/// Weight of the guess "in front of the photographers" against the crossing of their lines of
-/// sight, a photograph. Parallel lines do not cross anywhere, and then the guess decides.
+/// Weight of the guess "in front of the photographers" against the intersection of their lines of
+/// sight, per photograph. Parallel lines do not intersect, and then the guess decides.
 const GUESS_WEIGHT: f64 = 1e-3;
 /// Highest absolute elevation, degrees: at the pole up is undefined.
 const STEEPEST: f64 = 85.0;

@@ -119,7 +119,7 @@ fn unfit_networks_are_refused_with_the_reason() {
     assert!(matches!(refused, DeblurError::ModelUnusable { .. }), "{refused}");
 }
 
-/// The network halves the view by a weight that lies in `weights/`, as `make_onnx.py` writes it.
+/// The network halves the view by a weight in `weights/`, as `make_onnx.py` writes it.
 #[test]
 fn weights_are_read_beside_the_network_wherever_the_program_runs() {
     let mut network = network(&file("external3.onnx")).expect("loads");
