@@ -30,14 +30,14 @@ impl Words {
         let (sender, receiver) = sync_channel(1);
         if let Some(mut stream) = stream {
             std::thread::spawn(move || {
-                let (mut said, mut buffer) = (Vec::new(), [0; 1024]);
+                let (mut text, mut buffer) = (Vec::new(), [0; 1024]);
                 while let Ok(count @ 1..) = stream.read(&mut buffer) {
-                    said.extend_from_slice(&buffer[..count]);
-                    let excess = said.len().saturating_sub(TAIL);
-                    said.drain(..excess);
+                    text.extend_from_slice(&buffer[..count]);
+                    let excess = text.len().saturating_sub(TAIL);
+                    text.drain(..excess);
                 }
                 // The receiver is gone if ffmpeg succeeded.
-                let _ = sender.send(String::from_utf8_lossy(&said).into_owned());
+                let _ = sender.send(String::from_utf8_lossy(&text).into_owned());
             });
         }
         Self(receiver)
@@ -46,14 +46,14 @@ impl Words {
     /// All messages of a process that has exited, as far as they are kept, without the folder of
     /// the file that they refer to.
     pub(crate) fn all(&self, file: &Path) -> String {
-        let said = self.0.recv_timeout(PATIENCE).unwrap_or_default();
+        let text = self.0.recv_timeout(PATIENCE).unwrap_or_default();
         let path = absolute(file).unwrap_or_else(|_| file.to_owned());
-        said.replace(&path.display().to_string(), "it")
+        text.replace(&path.display().to_string(), "it")
     }
 }
 
 /// The last line of the messages.
-pub(crate) fn last_line(said: &str) -> &str {
-    let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
+pub(crate) fn last_line(text: &str) -> &str {
+    let last = text.lines().map(str::trim).rfind(|line| !line.is_empty());
     last.unwrap_or("nothing")
 }

@@ -5,8 +5,8 @@
 //! inputs/VIEW.jpg  gt/VIEW.jpg  restored/VIEW.png
 //! rounds/ROUND/{scene.ply, scene_at_target.ply, training.json}
 //! rounds/ROUND/{enhanced, deblurred, renders}/VIEW.jpg
-//! evaluation/  what sharp photographs say, where `fled eval` was asked
-//! work/  what only a resumed run reads
+//! evaluation/  scores against sharp photographs, after `fled eval`
+//! work/  only for resumed runs
 //! ```
 //! Paths only: nothing here reads, writes or creates a file.
 

@@ -113,7 +113,7 @@ pub fn write_unpacked(path: &Path, file: &Path, out: &mut impl Write) -> Result<
 }
 
 /// Opens a zip and checks its directory against the rules.
-fn open(path: &Path) -> Result<(ZipArchive<File>, Vec<Wanted>), CaptureError> {
+fn open(path: &Path) -> Result<(ZipArchive<File>, Vec<Selected>), CaptureError> {
     let mut file = File::open(path).map_err(CaptureError::io(path))?;
     let length = file.metadata().map_err(CaptureError::io(path))?.len();
     refuse_absurd_counts(&mut file)?;
@@ -146,7 +146,7 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
 }
 
 /// An entry that is unpacked or only listed.
-struct Wanted {
+struct Selected {
     index: usize,
     name: String,
     size: u64,
@@ -220,7 +220,7 @@ impl Totals {
 }
 
 /// Checks every entry against the rules and returns those with a role.
-fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, ArchiveFault> {
+fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Selected>, ArchiveFault> {
     let whole = |error: ZipError| ArchiveFault::whole(in_words(&error));
     if archive.len() > MAX_FILES {
         return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
@@ -250,7 +250,7 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
             let shown = name.escape_debug().to_string();
             return Err(ArchiveFault::of(&shown, "a name with control characters"));
         }
-        wanted.push(Wanted { index, name, size, is_unpacked, role });
+        wanted.push(Selected { index, name, size, is_unpacked, role });
     }
     totals.check(length)?;
     // Photographs are requested by number; files unpacked for inspection must not change it.
@@ -351,7 +351,7 @@ fn role(name: &str) -> Option<Role> {
 
 fn unpack_all(
     archive: &mut ZipArchive<File>,
-    wanted: Vec<Wanted>,
+    wanted: Vec<Selected>,
     target: &Path,
 ) -> Result<Vec<Entry>, CaptureError> {
     fs::create_dir_all(target).map_err(CaptureError::io(target))?;
@@ -400,7 +400,7 @@ fn own_file(
 }
 
 /// Unpacks one entry into a new file.
-fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), CaptureError> {
+fn unpack_one(source: &mut impl Read, item: &Selected, file: &Path) -> Result<(), CaptureError> {
     let mut out = File::create_new(file).map_err(CaptureError::io(file))?;
     copy_one(source, item, &mut out, file)
 }
@@ -409,7 +409,7 @@ fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), 
 /// errors.
 fn copy_one(
     source: &mut impl Read,
-    item: &Wanted,
+    item: &Selected,
     out: &mut impl Write,
     place: &Path,
 ) -> Result<(), CaptureError> {

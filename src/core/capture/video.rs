@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use self::choose::{Stretches, sharpness};
+use self::choose::{Segments, sharpness};
 use self::error::{MOST_IN_VIDEO, PATIENCE};
 use self::ffmpeg::{Ffmpeg, Output};
 use self::stream::Stream;
@@ -107,7 +107,7 @@ pub fn take_frames(
     if sharpness.len() < super::MIN_VIEWS {
         return Err(VideoError::TooShort { frames: sharpness.len() });
     }
-    let chosen = Stretches::of(sharpness.len(), wanted.count).sharpest(&sharpness);
+    let chosen = Segments::of(sharpness.len(), wanted.count).sharpest(&sharpness);
     fs::create_dir_all(wanted.into).map_err(VideoError::io(wanted.into))?;
     // The first frame gives the size for all, and whether this ffmpeg converts their range.
     let mut first = extract(&ffmpeg, &chosen[..1], wanted, &stream);

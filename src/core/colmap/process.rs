@@ -239,7 +239,7 @@ fn message(line: &str) -> Option<&str> {
         && line[1..].starts_with(|c: char| c.is_ascii_digit());
     match line.split_once("] ") {
         _ if is_trace => None,
-        Some((_, said)) if is_logged => Some(said),
+        Some((_, message)) if is_logged => Some(message),
         _ => Some(line),
     }
 }
@@ -279,7 +279,7 @@ mod tests {
         let text = "F0503 12:00:00.000000  77 sift.cc:12] Check failed: size > 0\n\
                     *** Check failure stack trace: ***\n    @     0x7f00 google::LogMessage::Fail()\n\n====\n\
                     [mapper] Images: 3";
-        let said: Vec<&str> = text.lines().filter_map(message).collect();
-        assert_eq!(said, ["Check failed: size > 0", "[mapper] Images: 3"]);
+        let messages: Vec<&str> = text.lines().filter_map(message).collect();
+        assert_eq!(messages, ["Check failed: size > 0", "[mapper] Images: 3"]);
     }
 }

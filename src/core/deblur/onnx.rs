@@ -71,9 +71,9 @@ impl Onnx {
             Err(DeblurError::ModelUnusable { detail, .. })
                 if detail.contains("explicitly disabled") =>
             {
-                let said =
+                let warning =
                     "the CPU runs the parts of the network that CUDA does not support".to_owned();
-                Ok((on_cuda(false)?, Some(said)))
+                Ok((on_cuda(false)?, Some(warning)))
             }
             other => Ok((other?, None)),
         }

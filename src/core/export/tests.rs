@@ -124,12 +124,12 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
 #[test]
 fn the_compressed_scene_has_the_announced_size() {
     let (_folder, run) = result();
-    let said = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
+    let prepared = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
     let bytes = written(Export::CompressedScene, &run, Some(1));
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);
     let body = bytes.len() - at.expect("a header") - end.len();
-    assert_eq!(body as u64, said.bytes());
+    assert_eq!(body as u64, prepared.bytes());
 }
 
 #[test]

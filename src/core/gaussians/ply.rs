@@ -333,8 +333,9 @@ mod tests {
             assert_eq!(found.normalisation, by);
             assert_eq!(found.gaussians.sh, scene.sh);
             let bytes = std::fs::read(&path).expect("bytes");
-            let said = String::from_utf8_lossy(&bytes).contains("add 512352 -5412352 64 to x y z");
-            assert_eq!(said, left_out);
+            let is_noted =
+                String::from_utf8_lossy(&bytes).contains("add 512352 -5412352 64 to x y z");
+            assert_eq!(is_noted, left_out);
             let at = bytes.windows(11).position(|w| w == b"end_header\n");
             let at = at.expect("a header") + 11;
             let number = |n: usize| float(&bytes, at + 4 * n);

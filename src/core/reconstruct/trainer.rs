@@ -41,7 +41,7 @@ pub(super) struct Trainer<'a> {
     schedule: Schedule,
     model: ForwardModel<'a>,
     scene: Box<dyn Training>,
-    /// 4, 2 or 1: what the images are reduced by.
+    /// 4, 2 or 1: the divisor of the images' size.
     divisor: usize,
     noise_seen: Vec<NoiseMapStatistics>,
     warnings: Vec<String>,

@@ -192,7 +192,7 @@ fn made(file: &Path, program: &str) -> Result<(), EncodeError> {
     write(&target, &cameras, |number, camera| Ok(picture(number, camera)))
 }
 
-fn said(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
+fn output_of(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
     let output = Command::new(program)
         .args(arguments)
         .arg(file)
@@ -208,7 +208,7 @@ fn a_video_is_widely_supported_h264_that_starts_at_once() {
     let file = folder.path().join("-a b.mp4");
     made(&file, "ffmpeg").expect("a video");
     let entries = "stream=codec_name,pix_fmt,width,height,nb_read_frames,r_frame_rate";
-    let probed = said(
+    let probed = output_of(
         "ffprobe",
         &["-v", "error", "-count_frames", "-show_entries", entries, "-of", "csv=p=0"],
         &file,

@@ -48,10 +48,10 @@ fn the_model_with_most_photographs_is_used_and_named() {
             { files.iter() }.map(|(name, bytes)| (&**name, bytes.clone())).collect();
         let capture = with(&files);
         assert!(model_of(&capture).ends_with(taken), "{taken}: {:?}", capture.poses);
-        let said = |warning: &CaptureWarning| {
+        let mentions = |warning: &CaptureWarning| {
             warning.code == "models" && warning.message.contains(&format!("of {taken} are taken"))
         };
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
 }
 
@@ -64,8 +64,8 @@ fn an_unreadable_model_does_not_replace_a_readable_one() {
         ("sparse/1/images.txt", model(&["a.jpg", "b.jpg", "c.jpg"])),
     ]);
     assert!(model_of(&capture).ends_with("sparse/1"));
-    let said = |warning: &CaptureWarning| warning.message.contains("sparse/0 cannot be read");
-    assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    let mentions = |warning: &CaptureWarning| warning.message.contains("sparse/0 cannot be read");
+    assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
 }
 
 #[test]
@@ -114,8 +114,8 @@ fn poses_in_other_folders_are_used_and_named() {
         let (cameras, images) = (format!("{folder}/Cameras.txt"), format!("{folder}/images.txt"));
         let capture = with(&[(&cameras, CAMERAS.to_vec()), (&images, model(&all))]);
         assert!(model_of(&capture).ends_with(folder), "{:?}", capture.poses);
-        let said = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
     let transforms = transforms(&all.map(|name| format!("../images/{name}")));
     let capture = with(&[("nerf/transforms.json", transforms)]);
@@ -162,8 +162,8 @@ fn unused_poses_are_reported() {
     ] {
         let capture = with(&files);
         assert_eq!(capture.poses, None);
-        let said = |w: &CaptureWarning| w.code == "poses_unused" && w.message.contains(words);
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.code == "poses_unused" && w.message.contains(words);
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
 }
 
@@ -176,8 +176,8 @@ fn poses_with_most_photographs_are_used_in_any_format() {
         ("transforms.json", transforms(&all.map(|name| format!("images/{name}")))),
     ]);
     assert!(matches!(capture.poses, Some(GivenPosesFile::Transforms(_))));
-    let said = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
-    assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    let mentions = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
+    assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
 }
 
 #[test]
@@ -270,8 +270,8 @@ fn poses_of_other_programs_are_reported_whatever_their_file_name() {
     let utf16: Vec<u8> = { "\u{feff}".encode_utf16().chain(metashape.encode_utf16()) }
         .flat_map(u16::to_le_bytes)
         .collect();
-    let said = |w: &CaptureWarning| w.message.starts_with("wide.xml holds poses");
-    assert!(with(&[("wide.xml", utf16)]).warnings.iter().any(said));
+    let mentions = |w: &CaptureWarning| w.message.starts_with("wide.xml holds poses");
+    assert!(with(&[("wide.xml", utf16)]).warnings.iter().any(mentions));
 }
 
 #[test]
@@ -281,8 +281,8 @@ fn transforms_under_another_name_are_used() {
         let capture = with(&[(path, transforms(&names))]);
         let taken = capture.poses.as_ref().map(|poses| poses.path().to_owned());
         assert!(taken.is_some_and(|taken| taken.ends_with(path)), "{path}: {:?}", capture.warnings);
-        let said = |w: &CaptureWarning| w.message.contains(&format!("of {path} are taken"));
-        assert!(capture.warnings.iter().any(said), "{path}: {:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.message.contains(&format!("of {path} are taken"));
+        assert!(capture.warnings.iter().any(mentions), "{path}: {:?}", capture.warnings);
     }
     // Files with a program's own name come first.
     let capture = with(&[("transforms.json", transforms(&names)), ("a.json", transforms(&names))]);

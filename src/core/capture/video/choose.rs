@@ -1,7 +1,7 @@
 //! Chooses the frames to take.
 
 /// Segments of equal length, from each of which one frame is taken.
-pub(super) struct Stretches {
+pub(super) struct Segments {
     frames: usize,
     count: usize,
 }
@@ -10,7 +10,7 @@ pub(super) struct Stretches {
 /// adjacent segments could be adjacent, too.
 const MARGIN: f64 = 0.1;
 
-impl Stretches {
+impl Segments {
     /// For a video with `frames` frames: `count` segments, or one per frame if there are fewer.
     pub(super) fn of(frames: usize, count: usize) -> Self {
         Self { frames, count: count.clamp(1, frames.max(1)) }
@@ -19,17 +19,17 @@ impl Stretches {
     /// The sharpest frame of each segment, in order, without repeats.
     pub(super) fn sharpest(&self, sharpness: &[f32]) -> Vec<usize> {
         (0..self.count)
-            .map(|stretch| {
-                let range = self.range(stretch);
+            .map(|segment| {
+                let range = self.range(segment);
                 let first = range.start;
                 range.max_by(|&a, &b| sharpness[a].total_cmp(&sharpness[b])).unwrap_or(first)
             })
             .collect()
     }
 
-    fn range(&self, stretch: usize) -> std::ops::Range<usize> {
+    fn range(&self, segment: usize) -> std::ops::Range<usize> {
         let length = self.frames as f64 / self.count as f64;
-        let (from, to) = (stretch as f64 * length, (stretch + 1) as f64 * length);
+        let (from, to) = (segment as f64 * length, (segment + 1) as f64 * length);
         let margin = MARGIN * length;
         let inner = (from + margin).ceil() as usize..(to - margin).floor() as usize;
         if inner.is_empty() {
@@ -69,7 +69,7 @@ mod tests {
         for sharp in [5, 17, 22, 33] {
             sharpness[sharp] = 2.0;
         }
-        assert_eq!(Stretches::of(40, 4).sharpest(&sharpness), [5, 17, 22, 33]);
+        assert_eq!(Segments::of(40, 4).sharpest(&sharpness), [5, 17, 22, 33]);
     }
 
     #[test]
@@ -89,7 +89,7 @@ mod tests {
         fn frames_taken_exist_and_are_in_order(
             sharpness in prop::collection::vec(0.0_f32..1.0, 3..200), count in 1..80_usize
         ) {
-            let chosen = Stretches::of(sharpness.len(), count).sharpest(&sharpness);
+            let chosen = Segments::of(sharpness.len(), count).sharpest(&sharpness);
             prop_assert_eq!(chosen.len(), count.min(sharpness.len()));
             prop_assert!(chosen.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(chosen.iter().all(|&frame| frame < sharpness.len()));

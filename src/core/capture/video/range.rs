@@ -13,10 +13,10 @@ pub struct Hdr {
 
 impl Hdr {
     /// The range of the first frame, from the output of `showinfo`.
-    pub(super) fn of(said: &str) -> Option<Self> {
-        let transfer = if said.contains("color_trc:arib-std-b67") {
+    pub(super) fn of(log: &str) -> Option<Self> {
+        let transfer = if log.contains("color_trc:arib-std-b67") {
             HdrTransfer::Hlg
-        } else if said.contains("color_trc:smpte2084") {
+        } else if log.contains("color_trc:smpte2084") {
             HdrTransfer::Pq
         } else {
             return None;

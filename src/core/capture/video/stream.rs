@@ -36,24 +36,26 @@ impl Stream {
     /// # Errors
     /// [`VideoError`]; [`VideoError::Sphere`] if it has no flat picture.
     pub(super) fn of(ffmpeg: &Ffmpeg<'_>) -> Result<Self, VideoError> {
-        let said = say(ffmpeg, "showinfo", Some(1))?;
-        let input = said.split("Stream mapping:").next().unwrap_or_default();
+        let log = filter_log(ffmpeg, "showinfo", Some(1))?;
+        let input = log.split("Stream mapping:").next().unwrap_or_default();
         if let Some(projection) = projection(input) {
             return Err(VideoError::Sphere { projection: projection.to_owned() });
         }
         let line = input.lines().find(|l| l.contains(": Video: ") && !l.contains("attached pic"));
         let line = line.unwrap_or_default();
-        let hdr = Hdr::of(&said);
+        let hdr = Hdr::of(&log);
         let mut first = String::new();
-        let fields = match declared(line).or_else(|| flagged(&said)) {
-            None => shown(&say(ffmpeg, &format!("trim=end_frame={PROBED_FRAMES},idet"), None)?),
+        let fields = match declared(line).or_else(|| flagged(&log)) {
+            None => {
+                shown(&filter_log(ffmpeg, &format!("trim=end_frame={PROBED_FRAMES},idet"), None)?)
+            }
             fields => fields,
         };
         if let Some(fields) = fields {
-            first += &deinterlacer(ffmpeg, fields, &said, turn(input))?;
+            first += &deinterlacer(ffmpeg, fields, &log, turn(input))?;
         }
         // ffmpeg assumes BT.601 for undeclared colours at every size.
-        let is_untagged = said.contains("color_space:unknown") && said.contains(" fmt:yuv");
+        let is_untagged = log.contains("color_space:unknown") && log.contains(" fmt:yuv");
         if is_untagged && hdr.is_none() && size_in(line.split(", ")).is_some_and(is_hd) {
             first += "setparams=colorspace=bt709,";
         }
@@ -62,7 +64,11 @@ impl Stream {
 }
 
 /// The log of ffmpeg while it runs the video, or its first frames, through a filter.
-fn say(ffmpeg: &Ffmpeg<'_>, filter: &str, frames: Option<usize>) -> Result<String, VideoError> {
+fn filter_log(
+    ffmpeg: &Ffmpeg<'_>,
+    filter: &str,
+    frames: Option<usize>,
+) -> Result<String, VideoError> {
     let mut arguments = vec!["-loglevel".to_owned(), "info".to_owned()];
     arguments.extend(["-nostats", "-vf", filter].map(str::to_owned));
     if let Some(frames) = frames {
@@ -95,16 +101,16 @@ fn declared(line: &str) -> Option<Fields> {
 }
 
 /// The field order of the first frame.
-fn flagged(said: &str) -> Option<Fields> {
+fn flagged(log: &str) -> Option<Fields> {
     let orders = [(" i:T ", Fields::Top), (" i:B ", Fields::Bottom)];
-    let line = said.lines().find(|line| line.contains("showinfo") && line.contains(" i:"))?;
+    let line = log.lines().find(|line| line.contains("showinfo") && line.contains(" i:"))?;
     orders.into_iter().find(|(order, _)| line.contains(order)).map(|(_, fields)| fields)
 }
 
 /// The field order of most frames, from their combing. Progressive frames show both orders equally
 /// often.
-fn shown(said: &str) -> Option<Fields> {
-    let counts = said.lines().rfind(|line| line.contains("Multi frame detection:"))?;
+fn shown(log: &str) -> Option<Fields> {
+    let counts = log.lines().rfind(|line| line.contains("Multi frame detection:"))?;
     let count = |name: &str| {
         let after = counts.split(name).nth(1)?.split_whitespace().next()?;
         after.parse::<usize>().ok()
@@ -137,7 +143,7 @@ fn turn(input: &str) -> [&'static str; 2] {
 fn deinterlacer(
     ffmpeg: &Ffmpeg<'_>,
     fields: Fields,
-    said: &str,
+    log: &str,
     [undo, redo]: [&str; 2],
 ) -> Result<String, VideoError> {
     let order = match fields {
@@ -145,7 +151,7 @@ fn deinterlacer(
         Fields::Bottom => "bff",
     };
     // These filters require all frames to have the size of the first.
-    let frame = said.lines().find(|line| line.contains("showinfo") && line.contains(" s:"));
+    let frame = log.lines().find(|line| line.contains("showinfo") && line.contains(" s:"));
     let words = frame.unwrap_or_default().split_whitespace();
     let Some((width, height)) = size_in(words.filter_map(|word| word.strip_prefix("s:"))) else {
         return Err(VideoError::Interlaced);
@@ -153,7 +159,7 @@ fn deinterlacer(
     for name in DEINTERLACERS {
         let filter =
             format!("scale={width}:{height},{undo}{name}=mode=send_frame:parity={order},{redo}");
-        match say(ffmpeg, filter.trim_end_matches(','), Some(1)) {
+        match filter_log(ffmpeg, filter.trim_end_matches(','), Some(1)) {
             Ok(_) => return Ok(filter),
             // The first reading succeeded, so the filter is at fault.
             Err(VideoError::Unreadable { .. }) => {}

@@ -306,8 +306,8 @@ fn an_assumed_rotation_is_reported() {
     for (orientation, is_assumed) in [(1, false), (2, true), (3, true), (4, true), (8, false)] {
         let stored = Stored::new(plain(), (96, 72), &[orientation]);
         let warnings = stored.read(Format::Model).1;
-        let said = warnings.iter().any(|warning| warning.contains("as they are stored"));
-        assert_eq!(said, is_assumed, "{orientation}: {warnings:?}");
+        let warns = warnings.iter().any(|warning| warning.contains("as they are stored"));
+        assert_eq!(warns, is_assumed, "{orientation}: {warnings:?}");
     }
 }
 
@@ -351,8 +351,8 @@ fn one_photograph_of_another_shape_is_left_out_by_name() {
     let poses = poses.unwrap();
     let names: Vec<&str> = poses.views.iter().map(|view| &*view.name).collect();
     assert_eq!(names, ["photo0", "photo1", "photo3"]);
-    let said = |warning: &String| warning.contains("photo2.png:") && warning.contains("96 x 64");
-    assert!(warnings.iter().any(said), "{warnings:?}");
+    let warns = |warning: &String| warning.contains("photo2.png:") && warning.contains("96 x 64");
+    assert!(warnings.iter().any(warns), "{warnings:?}");
 }
 
 #[test]
@@ -360,8 +360,8 @@ fn mirrored_photographs_among_others_are_left_out_by_name() {
     let stored = Stored::new(plain(), (96, 72), &[1, 3, 6, 2]);
     let (poses, warnings) = stored.read(Format::Model);
     assert_eq!(poses.unwrap().views.len(), 3);
-    let said = |warning: &String| warning.contains("photo3.png:") && warning.contains("mirrored");
-    assert!(warnings.iter().any(said), "{warnings:?}");
+    let warns = |warning: &String| warning.contains("photo3.png:") && warning.contains("mirrored");
+    assert!(warnings.iter().any(warns), "{warnings:?}");
 }
 
 #[test]

@@ -197,14 +197,17 @@ fn broken_cuda_is_reported_and_the_cpu_is_used() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let runtime = runtime::as_if_in(folder.path());
     let model = Model::find(&file("identity3.onnx"), &[]).expect("present");
-    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    let (network, warning) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(
-        (network.describe().provider.as_str(), said),
+        (network.describe().provider.as_str(), warning),
         ("cpu", None),
         "without CUDA there is nothing to say"
     );
     std::fs::write(folder.path().join(runtime::CUDA_LIBRARY), "not a library").expect("write");
-    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    let (network, warning) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(network.describe().provider, "cpu");
-    assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
+    assert!(
+        warning.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")),
+        "{warning:?}"
+    );
 }
