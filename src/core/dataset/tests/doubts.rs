@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use super::formats::{CAMERAS, assert_warns, images};
+use super::formats::{CAMERAS, expect_warning, images};
 use super::{Capture, capture};
 
 /// The warnings about good poses changed by `edit`.
@@ -28,7 +28,7 @@ fn impossible_lenses_are_reported_with_their_values() {
         (json!({ "k1": 900.0 }), "distortion that leaves"),
     ] {
         let warnings = warnings(&capture, &edit);
-        assert_warns(&warnings, &["transforms.json: photo0.png, photo1.png", words]);
+        expect_warning(&warnings, &["transforms.json: photo0.png, photo1.png", words]);
     }
     for good in [
         json!({ "fl_x": 20.0 }),
@@ -56,7 +56,7 @@ fn a_pose_of_nearly_the_same_size_is_reported_with_both_sizes() {
         let edit = json!({ "w": width, "h": height, "fl_x": 0.875 * f64::from(width) });
         let warnings = warnings(&capture, &edit);
         match is_told {
-            true => assert_warns(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
+            true => expect_warning(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
             false => assert_eq!(warnings, [""; 0], "{width} x {height}"),
         }
     }
@@ -77,5 +77,5 @@ fn a_view_without_visible_points_is_reported_by_name() {
     // It faces away from them.
     let images = images(&capture, Some("1 0 0 0 0 0 -9"), "\n");
     let warnings = capture.of_model(CAMERAS, &images).1;
-    assert_warns(&warnings, &["sparse/0: photo1.png: none of the points"]);
+    expect_warning(&warnings, &["sparse/0: photo1.png: none of the points"]);
 }

@@ -50,7 +50,7 @@ impl Capture {
     }
 }
 
-pub(super) fn assert_warns(warnings: &[String], words: &[&str]) {
+pub(super) fn expect_warning(warnings: &[String], words: &[&str]) {
     let has_all = |warning: &String| words.iter().all(|word| warning.contains(word));
     assert!(warnings.iter().any(has_all), "{words:?} in {warnings:?}");
 }
@@ -95,7 +95,7 @@ fn scaled_and_rounded_rotations_become_rotations_with_a_warning() {
             assert!((rotation.determinant() - 1.0).abs() < 1e-12);
             assert!(view.camera.centre().distance(camera.centre()) < 1e-9);
         }
-        assert_warns(&warnings, &["transforms.json", "transform_matrix", "images/photo0.png"]);
+        expect_warning(&warnings, &["transforms.json", "transform_matrix", "images/photo0.png"]);
     }
 }
 
@@ -123,13 +123,13 @@ fn an_unusable_frame_is_left_out_with_its_name_and_field() {
     for (field, spoil, words) in cases {
         let (poses, warnings) = capture.of_json(|json| spoil(&mut json["frames"][2]));
         assert_eq!(poses.unwrap().views.len(), 3, "{field}");
-        assert_warns(&warnings, &["images/photo2.png: ", &format!("`{field}`"), words]);
+        expect_warning(&warnings, &["images/photo2.png: ", &format!("`{field}`"), words]);
     }
     let (poses, warnings) = capture.of_json(|json| {
         json["frames"][1].as_object_mut().unwrap().remove("file_path");
     });
     assert_eq!(poses.unwrap().views.len(), 3);
-    assert_warns(&warnings, &["frame 1", "file_path"]);
+    expect_warning(&warnings, &["frame 1", "file_path"]);
 }
 
 #[test]
@@ -144,7 +144,7 @@ fn a_python_nan_or_infinity_affects_only_its_frame() {
         let (poses, warnings) = capture.of("transforms.json", text);
         let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
-        assert_warns(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
+        expect_warning(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
     }
 }
 
@@ -445,7 +445,7 @@ fn images_with_nan_are_left_out_by_name() {
         let (poses, warnings) = capture.of_model(CAMERAS, &images);
         let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
-        assert_warns(&warnings, &["sparse/0", "photo1.png"]);
+        expect_warning(&warnings, &["sparse/0", "photo1.png"]);
     }
     let (poses, _) =
         capture.of_model("1 PINHOLE 80 60 nan 70 40 30\n", &images(&capture, None, ""));
@@ -485,7 +485,7 @@ fn an_image_with_an_unsupported_camera_is_left_out_by_name() {
     let [(_, cameras), (_, images), _] = model.text_files();
     let (poses, warnings) = capture.of_model(&format!("{strange}{cameras}"), &images);
     assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
-    assert_warns(&warnings, &["photo1.png: camera model FOV is not read"]);
+    expect_warning(&warnings, &["photo1.png: camera model FOV is not read"]);
     // In binary form: a row of 4 numbers becomes one of 5.
     let folder = capture.dir.path().join("binary");
     model.cameras = vec![known.clone(), ModelCamera { id: 2, ..known }];
@@ -498,7 +498,7 @@ fn an_image_with_an_unsupported_camera_is_left_out_by_name() {
     std::fs::write(&file, bytes).unwrap();
     let (poses, warnings) = poses_and_warnings(&folder, &capture.views, capture.dir.path());
     assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
-    assert_warns(&warnings, &["photo1.png: camera model FOV is not read"]);
+    expect_warning(&warnings, &["photo1.png: camera model FOV is not read"]);
 }
 
 #[test]
@@ -535,7 +535,7 @@ fn poses_bounds_are_read_as_float32_and_without_an_invalid_row() {
     let (poses, warnings) = poses_and_warnings(&file, &capture.views, capture.dir.path());
     let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
     assert_eq!(names, ["photo0", "photo2", "photo3"]);
-    assert_warns(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
+    expect_warning(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
     for (number, shape, reason) in [
         ("<i8", "(4, 17)", "float64"),
         ("<f8", "(4, 3, 5)", "two dimensions"),
