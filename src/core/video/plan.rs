@@ -32,11 +32,11 @@ const FPS: u32 = 24;
 /// Largest number in a pose: UTM in millimetres has 1e10.
 const LARGEST: f64 = 1e12;
 
-/// Which way the camera goes.
+/// The kind of camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// Around the middle of the scene.
+    /// Around the centre of the scene.
     Orbit,
     /// Through the cameras of the photographs.
     Cameras,
@@ -50,18 +50,18 @@ pub enum Kind {
 pub struct Key {
     /// Rigid, row-major; OpenCV axes.
     pub world_to_camera: [[f64; 4]; 4],
-    /// How long the way from the pose before takes; the first has none before.
+    /// Duration of the path from the previous pose; ignored for the first.
     #[serde(default)]
     pub seconds: f64,
 }
 
-/// What is wanted of a video.
+/// The request for a video.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Which way the camera goes.
+    /// The kind of camera path.
     pub kind: Kind,
-    /// How long it is, 1..=60; default 8. A path's poses say so themselves.
+    /// Duration, 1..=60; default 8. A path takes it from its poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Pictures a second, 1..=30; default 24.
@@ -73,20 +73,20 @@ pub struct Plan {
     /// px, 64..=1920, an odd one is one less; default: the views', or in proportion to the width.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height: Option<usize>,
-    /// Of which round; default: the delivered one.
+    /// The round; default: the delivered one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<u32>,
-    /// Of an orbit, how far around in all: 360 is once around, less a swing to both sides and back;
-    /// default: as far as the photographers stood.
+    /// For an orbit, the arc in total: 360 is once around, less a swing to both sides and back;
+    /// default: the arc of the photographers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degrees: Option<f64>,
-    /// Of an orbit, degrees above the photographers; default 0.
+    /// For an orbit, degrees above the photographers; default 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elevation: Option<f64>,
-    /// Of an orbit, times the photographers' median distance from the middle; default 1.
+    /// For an orbit, times the photographers' median distance from the centre; default 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distance: Option<f64>,
-    /// Of a path, the poses.
+    /// For a path, the poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poses: Option<Vec<Key>>,
 }
