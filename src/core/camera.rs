@@ -114,7 +114,7 @@ impl Camera {
         Some((DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy), p.z))
     }
 
-    /// Pixel and depth of a world point that lies within the picture.
+    /// Pixel and depth of a world point inside the picture.
     pub fn shows(&self, point: DVec3) -> Option<(DVec2, f64)> {
         let size = DVec2::new(self.intrinsics.width as f64, self.intrinsics.height as f64);
         let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();

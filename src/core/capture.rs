@@ -1,9 +1,9 @@
-//! What was uploaded: a folder or a zip of photographs, assessed file by file.
+//! An uploaded capture: a folder or a zip of photographs, assessed file by file.
 //!
-//! Photographs lie directly in the capture, in `images/` or where `place` says; sharp ground truth
-//! of the same names in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, where
-//! `pose_files` says. Poses are found here, and read only to tell which of several models is the
-//! largest. Folders around everything are looked through; hidden files are not seen.
+//! Photographs are directly in the capture, in `images/` or where `place` finds them; sharp ground
+//! truth with the same names is in `gt/` (or `HL/`, as in LuSh-NeRF); poses, if given, are where
+//! `pose_files` finds them. Poses are located here, and read only to find the largest of several
+//! models. Wrapper folders are looked through; hidden files are ignored.
 
 mod archive;
 mod assess;
@@ -46,27 +46,27 @@ pub use photograph::{Assessment, CaptureView, CaptureWarning};
 pub use prepared::{PREPARED_SIDE, PreparedImage};
 pub use watch::{Look, Watch};
 
-/// A capture that can be worked on.
+/// A capture that can be processed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Capture {
     /// The accepted photographs, in natural order of their names.
     pub views: Vec<CaptureView>,
-    /// All photographs that there are, accepted or not, in natural order.
+    /// All photographs in the capture, accepted or not, in natural order.
     pub photographs: Vec<PhotoPath>,
-    /// What became of each file that claims to be a photograph, accepted or not.
+    /// The outcome for each file that claims to be a photograph, accepted or not.
     pub assessments: Vec<Assessment>,
     /// What the user should know about the capture as a whole.
     pub warnings: Vec<CaptureWarning>,
-    /// Poses that were uploaded with it.
+    /// Poses uploaded with it.
     pub poses: Option<GivenPosesFile>,
-    /// Every how many-th photograph is held out where the options leave it open: a file `hold=8`,
-    /// as published sets have it.
+    /// Every n-th photograph is held out unless the options say otherwise: a file `hold=8`, as in
+    /// published sets.
     pub hold: Option<u32>,
-    /// blake3 of names and contents: equal for equal captures wherever they lie.
+    /// blake3 of names and contents: equal for equal captures, wherever they are stored.
     pub fingerprint: String,
 }
 
-/// What an upload consists of, found without preparing it.
+/// What an upload consists of, without preparing it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inspection {
     /// Number of photographs that can be used.
@@ -82,9 +82,9 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// Inspects a folder or a zip. A zip is unpacked to `unpacked/` under `scratch_dir` (made anew,
-    /// removed again on failure); a folder is left where it is. Every photograph is decoded once;
-    /// one that cannot be used is rejected by itself.
+    /// Inspects a folder or a zip. A zip is unpacked to `unpacked/` under `scratch_dir` (recreated,
+    /// and removed again on failure); a folder stays where it is. Every photograph is decoded once;
+    /// an unusable one is rejected on its own.
     ///
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
@@ -98,8 +98,8 @@ impl Inspection {
 
 impl Capture {
     /// Opens a capture and prepares its images in `prepared/` under `scratch_dir`, at most
-    /// [`PREPARED_SIDE`] px; else as [`Inspection::of`]. A capture that was prepared there before
-    /// is not decoded again.
+    /// [`PREPARED_SIDE`] px; otherwise as [`Inspection::of`]. A capture already prepared there is
+    /// not decoded again.
     ///
     /// # Errors
     /// As [`Inspection::of`]; [`CaptureError::Io`] if an image cannot be written.

@@ -1,9 +1,9 @@
-//! Structure from motion by COLMAP, driven as a subprocess: 3.8 of Debian to 4.x.
+//! Structure from motion with COLMAP, run as a subprocess: Debian's 3.8 to 4.x.
 //!
-//! COLMAP gets private copies of the dark originals, brightened by one gain a photograph
-//! ([`copies`]), and is run by fallback [`strategies`] until a model is good enough. It is random
-//! even with a seed and on one thread, so two runs differ in the last digits and, on hard
-//! captures, in how many photographs register.
+//! COLMAP receives private copies of the dark originals, brightened by one gain per photograph
+//! ([`copies`]), and is run with fallback [`strategies`] until a model is good enough. It is random
+//! even with a seed and on one thread, so two runs differ in the last digits and, on hard captures,
+//! in the number of registered photographs.
 
 mod candidate;
 mod consistency;
@@ -47,7 +47,7 @@ impl Default for ColmapCli {
 }
 
 impl ColmapCli {
-    /// Drives `program`: a path, or a name looked up by the system.
+    /// Runs `program`: a path, or a name looked up by the system.
     pub fn new(program: impl Into<PathBuf>) -> Self {
         Self {
             program: program.into(),
@@ -57,22 +57,22 @@ impl ColmapCli {
         }
     }
 
-    /// With other time limits.
+    /// Sets the time limits.
     #[must_use]
     pub fn with_limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
     }
 
-    /// With somebody else who finds key points and matches, before COLMAP's own.
+    /// Sets a source of key points and matches that is tried before COLMAP's own.
     #[must_use]
     pub fn with_matching(self, matching: Arc<dyn Matching>) -> Self {
         Self { matching: Some(matching), ..self }
     }
 
-    /// COLMAP's version, as in `3.8`: what `fled doctor` shows.
+    /// COLMAP's version, such as `3.8`, as shown by `fled doctor`.
     ///
     /// # Errors
-    /// [`PosesError::Missing`] when there is no such program, [`PosesError::Tool`] when it is not
+    /// [`PosesError::Missing`] if there is no such program, [`PosesError::Tool`] if it is not
     /// COLMAP.
     pub fn version(&self) -> Result<String, PosesError> {
         let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
@@ -82,7 +82,7 @@ impl ColmapCli {
 }
 
 impl ColmapCli {
-    /// Sparse points for views of the request whose poses are known.
+    /// Sparse points for views of the request with known poses.
     ///
     /// # Errors
     /// [`PosesError`]: COLMAP is missing or failed, a photograph cannot be read, or the caller
@@ -109,9 +109,9 @@ impl ColmapCli {
 }
 
 impl ColmapCli {
-    /// Better poses than the `given` ones, in their world and at their scale: of those views of the
-    /// request that have one or can be placed. `None` where the given ones fit the photographs as
-    /// well as any that are found, and where there are no networks to tell by.
+    /// Better poses than the `given` ones, in their world and at their scale, for the views of the
+    /// request that have one or can be placed. `None` if the given ones fit the photographs as well
+    /// as any that are found, or if there are no networks to check them.
     ///
     /// # Errors
     /// [`PosesError`], as [`Sfm::poses`].
@@ -184,7 +184,7 @@ impl Sfm for ColmapCli {
     }
 }
 
-/// The version from the first line of `colmap help`, as every release prints it.
+/// The version from the first line of `colmap help`, which every release prints.
 fn version(runner: &process::Runner, cancel: &CancelToken) -> Result<String, PosesError> {
     let finished = runner.run("help", &[], cancel)?;
     let text = finished.text();

@@ -1,4 +1,4 @@
-//! Poses that come with a capture: a COLMAP model, NeRF's `transforms.json`, or LLFF's
+//! Poses supplied with a capture: a COLMAP model, NeRF's `transforms.json`, or LLFF's
 //! `poses_bounds.npy`.
 
 mod doubt;
@@ -32,13 +32,13 @@ use crate::poses::{
 /// Width and height, px.
 type Size = (usize, usize);
 
-/// Points that are guessed where poses came without points: as many as the smallest preset's cap.
+/// Points guessed for poses without points: as many as the smallest preset's cap.
 const GUESSED_POINTS: usize = 10_000;
 
-/// Fewer triangulated points than this are no scene.
+/// Fewer triangulated points are not a scene.
 const LEAST_POINTS: usize = 100;
 
-/// Finds points for views whose poses are known, as `ColmapCli::triangulate` does.
+/// Finds points for views with known poses, as `ColmapCli::triangulate` does.
 pub type Triangulate = Box<
     dyn Fn(
         &PoseRequest<'_>,
@@ -48,7 +48,7 @@ pub type Triangulate = Box<
     ) -> Result<Vec<SparsePoint>, PosesError>,
 >;
 
-/// Finds better poses in the world of given ones, as `ColmapCli::refine` does.
+/// Finds better poses in the world of the given ones, as `ColmapCli::refine` does.
 pub type Refine = Box<
     dyn Fn(
         &PoseRequest<'_>,
@@ -74,32 +74,32 @@ enum Format {
     PosesBounds,
 }
 
-/// Contents of a format beside the views.
+/// Contents of a format besides the views.
 #[derive(Default)]
 struct Given {
     points: Vec<SparsePoint>,
     mean_error: Option<f64>,
     mean_track: Option<f64>,
-    /// Frames that cannot be used, by the names in the file.
+    /// Unusable frames, by their names in the file.
     left_out: Vec<LeftOut>,
     warnings: Vec<String>,
 }
 
-/// How poses find their photographs; `None` where the file has one that cannot be used.
+/// How poses are matched to photographs; `None` for an unusable pose in the file.
 enum Assignment {
-    /// By the photograph's path.
+    /// By photograph path.
     ByPath(Vec<(PhotoPath, Option<GivenView>)>),
-    /// By the order in which Python sorts the paths.
+    /// By Python's sort order of the paths.
     ByOrder(Vec<Option<GivenView>>),
 }
 
 impl GivenPoses {
     /// `path`: a directory with a COLMAP model (text or binary), a `.json` or a `.npy` file.
-    /// `photographs`: all of the capture, those too that are not used: theirs are no one else's
-    /// poses.
+    /// `photographs`: all photographs of the capture, including unused ones, so that their poses go
+    /// to no other photograph.
     ///
     /// # Errors
-    /// [`PosesError::BadFile`] when it is none of them. The content is read by [`Sfm::poses`].
+    /// [`PosesError::BadFile`] if it is none of these. [`Sfm::poses`] reads the content.
     pub fn open(path: &Path, photographs: &[PhotoPath]) -> Result<Self, PosesError> {
         let extension = path.extension().and_then(|extension| extension.to_str());
         let format = match extension.map(str::to_ascii_lowercase).as_deref() {
@@ -120,16 +120,16 @@ impl GivenPoses {
         })
     }
 
-    /// Reads the file and forgets it: for how many photographs it has a pose.
+    /// Reads the file without keeping it, and returns how many photographs have a pose.
     ///
     /// # Errors
-    /// The fault of the file for which [`Sfm::poses`] will fail.
+    /// The error with which [`Sfm::poses`] will fail.
     pub fn check(&self) -> Result<usize, PosesError> {
         let assigned = self.assign(self.read()?.0)?;
         Ok(assigned.iter().flatten().count())
     }
 
-    /// The names of photographs in the file; none in formats without names.
+    /// The names of photographs in the file; empty for formats without names.
     ///
     /// # Errors
     /// Those of [`Self::check`].
@@ -137,8 +137,7 @@ impl GivenPoses {
         Ok(self.sizes()?.into_iter().map(|(name, _)| name).collect())
     }
 
-    /// As [`Self::names`], with the size of the picture that the lens of each is for, px, where the
-    /// file tells it.
+    /// As [`Self::names`], with the picture size of each lens, px, if the file gives it.
     ///
     /// # Errors
     /// Those of [`Self::check`].
@@ -152,20 +151,20 @@ impl GivenPoses {
         })
     }
 
-    /// With somebody who finds points where the poses come without.
+    /// Sets the callback that triangulates points for poses without points.
     #[must_use]
     pub fn triangulated_by(self, triangulate: Triangulate) -> Self {
         Self { triangulate: Some(triangulate), ..self }
     }
 
-    /// With somebody who refines poses of a `transforms.json`, which phones write as they walk; the
-    /// other formats come out of a bundle adjustment.
+    /// Sets the callback that refines the poses of a `transforms.json`, which phones write during
+    /// the walk; the other formats come from a bundle adjustment.
     #[must_use]
     pub fn refined_by(self, refine: Refine) -> Self {
         Self { refine: Some(refine).filter(|_| self.format == Format::Transforms), ..self }
     }
 
-    /// Refined poses; `None` where the given ones are taken as they are.
+    /// Refined poses; `None` if the given ones are used as they are.
     fn refined(
         &self,
         request: &PoseRequest<'_>,
@@ -176,7 +175,7 @@ impl GivenPoses {
         let Some(refine) = &self.refine else {
             return Ok(None);
         };
-        // The given lenses are what EXIF would tell.
+        // Pass the given lenses in place of EXIF's.
         let focal = |view: &PoseView| {
             let given = views.iter().find(|given| given.name == view.name);
             given.map(|given| given.lens.intrinsics.fx)
@@ -229,7 +228,7 @@ impl GivenPoses {
         }
     }
 
-    /// Warns of poses that are not used, or only after a change.
+    /// Warns about poses that are not used, or only after a change.
     fn warn(&self, given: &Given, placed: &Placed, sink: &mut dyn ProgressSink) {
         let file = self.label();
         if !given.left_out.is_empty() {
@@ -261,8 +260,8 @@ impl GivenPoses {
         }
     }
 
-    /// Triangulated points, or guessed ones in their place. `near` are the poses in their
-    /// normalised world; `bounds` and the points are in the world that was given.
+    /// Triangulated points, or guessed ones if there are none. `near` contains the poses in their
+    /// normalised world; `bounds` and the points are in the given world.
     fn found_points(
         &self,
         request: &PoseRequest<'_>,
@@ -295,8 +294,7 @@ impl GivenPoses {
         Ok(Poses { points, ..near }.in_world().points)
     }
 
-    /// What the file is called in a sentence. A model of a zip or an upload lies in a folder of
-    /// ours.
+    /// The file's name for messages. A model from a zip or an upload is in one of our own folders.
     fn label(&self) -> std::borrow::Cow<'_, str> {
         let name = name_of(&self.path);
         match self.format {
@@ -305,7 +303,7 @@ impl GivenPoses {
         }
     }
 
-    /// Why so few photographs have a pose.
+    /// The error when too few photographs have a pose.
     fn too_few(&self, registered: usize, total: usize, given: &Given) -> PosesError {
         if !given.left_out.is_empty() {
             let reason = format!(
@@ -322,7 +320,7 @@ impl GivenPoses {
         PosesError::TooFew { registered, total, advice }
     }
 
-    /// A name that the file has, and that of a photograph, which are not the same.
+    /// An example of a name in the file and the name of a photograph, for a mismatch.
     fn unlike_names(&self) -> Option<String> {
         let names = self.names().ok()?;
         let name = { names.iter() }.find(|name| !self.photographs.contains(name))?;
@@ -330,11 +328,11 @@ impl GivenPoses {
         Some(format!("; it has `{name}`, and a photograph is called `{photograph}`"))
     }
 
-    /// The pose of each photograph of the capture, where it has one.
+    /// The pose of each photograph of the capture, if it has one.
     fn assign(&self, given: Assignment) -> Result<Vec<Option<GivenView>>, PosesError> {
         match given {
             Assignment::ByPath(mut views) => {
-                // A frame that is written twice says nothing else; one of two splits trains.
+                // A duplicated frame adds nothing; a frame in two splits trains.
                 views.sort_by(|a, b| a.0.cmp(&b.0));
                 views.dedup_by(|again, first| {
                     let is_same = again.0 == first.0 && trained(again.1) == trained(first.1);
@@ -354,7 +352,7 @@ impl GivenPoses {
         }
     }
 
-    /// Rows belong to all photographs that there were, in the order of their paths' bytes.
+    /// Rows belong to all original photographs, in byte order of their paths.
     fn assign_by_order(
         &self,
         rows: Vec<Option<GivenView>>,
@@ -382,7 +380,7 @@ impl GivenPoses {
         Ok(assigned)
     }
 
-    /// Tells where a reader who counts numbers would give rows to other photographs.
+    /// Warns when a reader that sorts by number would assign rows to other photographs.
     fn warn_of_order(&self, sink: &mut dyn ProgressSink) {
         let order = by_bytes(&self.photographs);
         let differs = order.windows(2).find(|pair| pair[0] > pair[1]);
@@ -400,13 +398,13 @@ impl GivenPoses {
     }
 }
 
-/// The view, as if it trains.
+/// The view, marked for training.
 fn trained(view: Option<GivenView>) -> Option<GivenView> {
     let held_out = false;
     view.map(|view| GivenView { held_out, ..view })
 }
 
-/// Indices of paths in the order in which Python sorts them.
+/// Indices of paths in Python's sort order.
 fn by_bytes(paths: &[PhotoPath]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..paths.len()).collect();
     order.sort_by_key(|&at| &paths[at]);
@@ -436,7 +434,7 @@ impl Sfm for GivenPoses {
         if registered < 3 {
             return Err(self.too_few(registered, total, &given));
         }
-        // Far from the origin COLMAP, too, loses its digits.
+        // Far from the origin COLMAP also loses precision.
         let near = Poses { views: views.clone(), ..Poses::default() };
         let near = near.normalised();
         if let Some(poses) = self.refined(request, &near.views, sink, cancel)? {

@@ -1,8 +1,8 @@
-//! A finished result in the forms in which others go on with it: its pictures, its cameras with
-//! them, its scene at a fraction of its size.
+//! Exports of a finished result for use elsewhere: its pictures, its cameras with them, its scene
+//! at a fraction of its size.
 //!
-//! Each is written from its beginning to its end, so that whoever takes it may pass it on while it
-//! is made. What is missing is told before that.
+//! Each is written sequentially, so a caller can stream it while it is being made. Missing inputs
+//! are reported before that.
 
 mod error;
 
@@ -22,13 +22,13 @@ use crate::run_folder::{RoundPictures, RunFolder};
 
 pub use error::ExportError;
 
-/// Level of what is packed: pictures are packed already, so the fastest is as good as the best.
+/// Compression level: pictures are already compressed, so the fastest is as good as the best.
 const LEVEL: i64 = 1;
 
-/// What a camera or a point takes in a COLMAP model, packed, bytes: more or less.
+/// Approximate compressed size of a camera or a point in a COLMAP model, bytes.
 const ROW: u64 = 40;
 
-/// A form in which a result is handed on.
+/// A format in which a result is exported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Export {
     /// The restored views as a zip.
@@ -40,7 +40,7 @@ pub enum Export {
 }
 
 impl Export {
-    /// Every form.
+    /// All formats.
     pub const ALL: [Self; 3] = [Self::Restored, Self::Colmap, Self::CompressedScene];
 
     /// The name of its file.
@@ -52,7 +52,7 @@ impl Export {
         }
     }
 
-    /// What it is, and for whom.
+    /// A description, with the intended use.
     pub fn about(self) -> &'static str {
         match self {
             Self::Restored => "Every restored view: the scene rendered from the view's camera.",
@@ -67,10 +67,10 @@ impl Export {
         }
     }
 
-    /// Finds what it is made of: of the delivered round, or of one that is finished.
+    /// Finds its inputs, of the delivered round or of a finished one.
     ///
     /// # Errors
-    /// [`ExportError`] where that is not there or cannot be read.
+    /// [`ExportError`] if they are missing or unreadable.
     pub fn prepare(self, run: &RunFolder, round: Option<u32>) -> Result<Prepared, ExportError> {
         let scene = run.scene_of(round);
         Ok(Prepared(match self {
@@ -102,7 +102,7 @@ impl FromStr for Export {
     }
 }
 
-/// A picture on the disk.
+/// A picture on disk.
 #[derive(Debug)]
 struct Picture {
     path: PathBuf,
@@ -118,12 +118,12 @@ enum Content {
     Scene { scene: PathBuf, bytes: u64 },
 }
 
-/// An export that is there to be written.
+/// An export that is ready to be written.
 #[derive(Debug)]
 pub struct Prepared(Content);
 
 impl Prepared {
-    /// How many bytes it will have, more or less.
+    /// Its approximate size in bytes.
     pub fn bytes(&self) -> u64 {
         match &self.0 {
             Content::Pictures(pictures) => pictures.iter().map(|picture| picture.bytes).sum(),
@@ -138,7 +138,7 @@ impl Prepared {
     /// Writes it.
     ///
     /// # Errors
-    /// [`ExportError`]; what was written by then is not whole.
+    /// [`ExportError`]; the output is incomplete then.
     pub fn write(&self, out: impl Write) -> Result<(), ExportError> {
         match &self.0 {
             Content::Pictures(pictures) => {
@@ -172,7 +172,7 @@ impl Prepared {
     }
 }
 
-/// A zip whose entries are packed as they are passed on.
+/// A zip whose entries are compressed while streaming.
 struct Archive<W: Write>(ZipWriter<StreamWriter<W>>);
 
 impl<W: Write> Archive<W> {
@@ -181,8 +181,8 @@ impl<W: Write> Archive<W> {
     }
 
     fn entry(&mut self, name: &str, content: &mut impl io::Read) -> Result<(), ExportError> {
-        // Packed although pictures gain nothing by it: of what is not, readers that cannot seek
-        // do not see the end.
+        // Compressed although pictures gain nothing: readers that cannot seek do not find the end
+        // of an uncompressed entry.
         let options = SimpleFileOptions::default().compression_level(Some(LEVEL));
         let begun = self.0.start_file(name, options).map_err(io::Error::from);
         begun.and_then(|()| io::copy(content, &mut self.0)).map_err(ExportError::Write)?;
@@ -215,7 +215,7 @@ fn pictures(run: &RunFolder, round: Option<u32>) -> Result<Vec<Picture>, ExportE
         let Ok(file_name) = entry.file_name().into_string() else {
             continue;
         };
-        // Names of files that are being written begin with a dot.
+        // Names of files being written begin with a dot.
         if about.is_file() && !file_name.starts_with('.') {
             pictures.push(Picture { path, file_name, bytes: about.len() });
         }
@@ -236,7 +236,7 @@ fn cameras(run: &RunFolder, round: Option<u32>) -> Result<Vec<NamedCamera>, Expo
     serde_json::from_slice(&text).map_err(|source| ExportError::Cameras { path, source })
 }
 
-/// Each camera with its view's picture; a view without one trains nothing.
+/// Each camera with its view's picture; a view without one is useless for training.
 fn with_pictures(
     cameras: &[NamedCamera],
     pictures: Vec<Picture>,
@@ -257,7 +257,7 @@ fn with_pictures(
     Ok(views)
 }
 
-/// The middles of what is rather opaque than not, with its base colour.
+/// The centres of Gaussians more opaque than not, with their base colour.
 fn points(Scene { gaussians: scene, normalisation }: &Scene) -> Vec<([f64; 3], [u8; 3])> {
     let row = 3 * scene.coefficients();
     let is_solid = |&index: &usize| scene.is_usable(index) && scene.opacity_logits[index] > 0.0;

@@ -1,9 +1,9 @@
 //! The exposure and white balance of each photograph, relative to the others of its capture.
 //!
-//! Differs from the paper, which brightens all photographs alike: automatic exposure takes each at
-//! its own, and a scene that is trained on all of them disagrees with itself. Where two views show
-//! the same surface, the ratio of their light is that of their gains; one gain a channel and view
-//! is solved from all pairs.
+//! Differs from the paper, which brightens all photographs alike: automatic exposure gives each its
+//! own, and a scene trained on all of them is inconsistent. If two views show the same surface, the
+//! ratio of their light is that of their gains; one gain per channel and view is solved from all
+//! pairs.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -12,26 +12,26 @@ use crate::camera::Camera;
 use crate::image::{Image, Linear};
 use crate::mask::Mask;
 
-/// Relative difference of depth up to which two views see the same surface.
+/// Largest relative difference in depth at which two views see the same surface.
 const SAME_DEPTH: f64 = 0.03;
-/// Light from which a channel may be clipped, or bent by the camera's curve.
+/// Light from which a channel may be clipped, or compressed by the camera's curve.
 const MOST_LIGHT: f32 = 0.7;
-/// Light below which eight bits and clipped noise decide the value.
+/// Light below which quantisation and clipped noise determine the value.
 const LEAST_LIGHT: f32 = 0.002;
-/// Share of the pixels of a pair that is left out as too dark: noise there is clipped at black.
+/// Share of a pair's pixels that is left out as too dark: noise there is clipped at black.
 const DARK_SHARE: f64 = 0.4;
-/// Fewest pixels that tell the ratio of a pair, and the number from which more add nothing.
+/// Fewest pixels that determine a pair's ratio, and the number above which more add nothing.
 const LEAST_PIXELS: usize = 60;
 const MOST_PIXELS: f64 = 1_000.0;
 /// Residual of a pair beyond which it counts linearly instead of by its square (Huber), stops.
 const BEND: f64 = 0.1;
-/// Weight of the prior of a view, relative to a pair that tells as much as it can.
+/// Weight of a view's prior, relative to a pair of full weight.
 const PRIOR: f64 = 0.001;
 /// The solver's repetitions: with new weights, and within one.
 const REWEIGHTED: usize = 10;
 const SWEEPS: usize = 200;
 
-/// How much more light of each channel a photograph has than the capture's neutral exposure, stops.
+/// Light of a photograph relative to the capture's neutral exposure, by channel, stops.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gains {
     /// Red, green, blue.
@@ -49,20 +49,20 @@ impl Gains {
         [self.stops[0] - self.stops[1], self.stops[2] - self.stops[1]]
     }
 
-    /// This share of the gains.
+    /// The gains multiplied by this share.
     #[must_use]
     pub fn scaled(&self, share: f64) -> Self {
         Self { stops: self.stops.map(|stops| share * stops) }
     }
 
-    /// A photograph in the neutral exposure. Nothing is clipped; without gains it is the same, bit
-    /// for bit.
+    /// A photograph converted to the neutral exposure. Nothing is clipped; without gains it is
+    /// unchanged, bit for bit.
     #[must_use]
     pub fn even(&self, photograph: &Image) -> Image {
         self.scaled(-1.0).expose(photograph)
     }
 
-    /// A picture in neutral exposure as the photograph's camera would have exposed it.
+    /// A picture in neutral exposure, converted to the exposure of the photograph.
     #[must_use]
     pub fn expose(&self, neutral: &Image) -> Image {
         if self.stops == [0.0; 3] {
@@ -83,8 +83,8 @@ pub struct Surface<'a> {
     /// At the size of the photograph.
     pub camera: &'a Camera,
     pub photograph: &'a Image<Linear>,
-    /// Depth of the scene at each pixel, row by row, world units along the camera's axis; `None`
-    /// where there is none.
+    /// Depth of the scene at each pixel, row by row, world units along the camera's axis; `None` if
+    /// there is none.
     pub depth: &'a [Option<f32>],
     /// The pixels that count; all without one.
     pub mask: Option<&'a Mask>,
@@ -95,14 +95,14 @@ pub struct Surface<'a> {
 pub struct Ratio {
     /// Indices of the views.
     pub views: [usize; 2],
-    /// How much more light the first one has, stops by channel.
+    /// Light of the first view relative to the second, stops by channel.
     pub stops: [f64; 3],
     /// Number of pixels of the first view on those surfaces.
     pub pixels: usize,
 }
 
 impl Ratio {
-    /// How much it tells, relative to a pair that tells as much as it can.
+    /// Its weight, relative to a pair of full weight.
     fn weight(&self) -> f64 {
         (self.pixels as f64 / MOST_PIXELS).min(1.0)
     }
@@ -119,7 +119,7 @@ pub fn ratios(views: &[Surface<'_>]) -> Vec<Ratio> {
     (0..views.len()).into_par_iter().flat_map_iter(of_view).collect()
 }
 
-/// A pixel of a view, and the point of the world that it shows.
+/// A pixel of a view, and the world point that it shows.
 struct SurfacePoint {
     light: [f32; 3],
     point: DVec3,
@@ -143,7 +143,7 @@ fn surface_points(view: &Surface<'_>) -> Vec<SurfacePoint> {
     points
 }
 
-/// The light of a pixel, if it counts and its value means light.
+/// The light of a pixel, if it counts and its value is neither clipped nor too dark.
 fn usable(view: &Surface<'_>, x: usize, y: usize) -> Option<[f32; 3]> {
     if view.mask.is_some_and(|mask| !mask.holds(x, y)) {
         return None;
@@ -180,12 +180,12 @@ fn ratio(views: &[Surface<'_>], pair: [usize; 2], points: &[SurfacePoint]) -> Op
     Some(Ratio { views: pair, stops: std::array::from_fn(middle), pixels: bright.len() })
 }
 
-/// The gains that explain ratios best.
+/// The gains that best explain the ratios.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Solution {
-    /// By view. Where none was known, their mean over the views is zero.
+    /// By view. If none was known, their mean over the views is zero.
     pub gains: Vec<Gains>,
-    /// Standard deviation of what the gains leave of the pairs' ratios, stops, by their median over
+    /// Standard deviation of the residuals of the pairs' ratios, stops, from their median over
     /// pairs and channels. `None` without pairs.
     pub residual: Option<f64>,
 }
@@ -209,7 +209,7 @@ pub fn solve(known: &[Option<Gains>], ratios: &[Ratio], prior: &[f64]) -> Soluti
     Solution { gains, residual }
 }
 
-/// The value that half of the weight does not exceed; `None` without values.
+/// The value up to which half of the weight lies; `None` without values.
 fn weighted_median(mut values: Vec<(f64, f64)>) -> Option<f64> {
     values.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * values.iter().map(|(_, weight)| weight).sum::<f64>();

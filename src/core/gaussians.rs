@@ -37,8 +37,8 @@ impl Gaussians {
         self.means.is_empty()
     }
 
-    /// Puts every base colour through `colour` and scales how it changes with direction by
-    /// `slope`, the derivative of `colour` per channel: a tone curve, to first order.
+    /// Applies `colour` to every base colour and scales the variation with direction by `slope`,
+    /// the derivative of `colour` per channel: a tone curve, to first order.
     pub fn map_colours(
         &mut self,
         colour: impl Fn([f32; 3]) -> [f32; 3],
@@ -55,8 +55,8 @@ impl Gaussians {
         }
     }
 
-    /// The same shapes in the colours that `colour` gives by index, from every side alike. They may
-    /// be brighter than white.
+    /// The same shapes with the colour that `colour` gives for each index, independent of
+    /// direction. They may be brighter than white.
     #[must_use]
     pub fn coloured(&self, colour: impl Fn(usize) -> [f32; 3]) -> Self {
         let colours = (0..self.len()).flat_map(|i| colour(i).map(|value| (value - 0.5) / Y00));
@@ -68,7 +68,7 @@ impl Gaussians {
         ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize
     }
 
-    /// Whether every number of the `index`-th is finite and its quaternion has a direction.
+    /// Whether all numbers of Gaussian `index` are finite and its quaternion has a direction.
     pub fn is_usable(&self, index: usize) -> bool {
         let row = 3 * self.coefficients();
         let quat = self.quats[index];
@@ -112,7 +112,7 @@ impl Gaussians {
         }
     }
 
-    /// The same Gaussians with harmonics of `degree`: cut off, or filled up with zeros.
+    /// The same Gaussians with harmonics of `degree`: truncated, or padded with zeros.
     #[must_use]
     pub fn with_sh_degree(&self, degree: u32) -> Self {
         let (from, to) = (3 * self.coefficients(), 3 * ((degree + 1) * (degree + 1)) as usize);
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_curve_moves_the_base_colour_and_scales_what_varies_with_direction() {
+    fn a_curve_maps_the_base_colour_and_scales_the_directional_part() {
         let one = Gaussians {
             means: vec![[0.0; 3]],
             quats: vec![[1.0, 0.0, 0.0, 0.0]],

@@ -1,4 +1,4 @@
-//! A child process with a process group of its own, so that a kill leaves nothing of it.
+//! A child process in its own process group, so that killing it leaves nothing behind.
 
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
@@ -6,10 +6,10 @@ use std::{fmt, io};
 
 use rustix::process::{Pid, Signal, kill_process_group};
 
-/// A running child and all processes that it has started.
+/// A running child and all processes that it started.
 pub(crate) struct Group {
     child: Child,
-    /// Set once the child is reaped: its number may then be another group's.
+    /// Set once the child is reaped: its number may then belong to another group.
     ended: Option<ExitStatus>,
 }
 
@@ -23,20 +23,20 @@ impl Group {
     /// Starts `command` as the leader of a new group.
     ///
     /// # Errors
-    /// When it cannot be started.
+    /// The system's error if it cannot be started.
     pub(crate) fn spawn(command: &mut Command) -> io::Result<Self> {
         Ok(Self { child: command.process_group(0).spawn()?, ended: None })
     }
 
-    /// The pipes of its standard output and error; once.
+    /// The pipes of its standard output and error; available once.
     pub(crate) fn outputs(&mut self) -> (Option<ChildStdout>, Option<ChildStderr>) {
         (self.child.stdout.take(), self.child.stderr.take())
     }
 
-    /// How the leader ended, if it has.
+    /// The exit status of the leader, if it has exited.
     ///
     /// # Errors
-    /// When the system does not tell.
+    /// The system's error if the status is unavailable.
     pub(crate) fn try_wait(&mut self) -> io::Result<Option<ExitStatus>> {
         if self.ended.is_none() {
             self.ended = self.child.try_wait()?;
@@ -48,7 +48,7 @@ impl Group {
     pub(crate) fn kill(&mut self) {
         let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
         if let (None, Some(pid)) = (self.ended, pid) {
-            // It may have just ended; what counts is that nothing of it is left.
+            // It may have just exited; only leave nothing of it behind.
             let _ = kill_process_group(pid, Signal::KILL);
             self.ended = self.child.wait().ok();
         }
@@ -67,7 +67,7 @@ mod tests {
 
     use super::*;
 
-    /// A shell whose child outlives it, and the number of that child.
+    /// A shell whose child outlives it, and the child's process id.
     fn shell(then: &str) -> (Group, i32) {
         let script = format!("sleep 60 & echo $!; {then}");
         let mut command = Command::new("/bin/sh");

@@ -5,8 +5,8 @@
 //! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`exposure`], [`metrics`] and
 //! [`render`].
 //! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
-//! [`gaussians`], [`event`], [`cancel`], [`plain`] and [`reading`]. The crate knows no HTTP, no
-//! SQL, no async runtime and no environment variables.
+//! [`gaussians`], [`event`], [`cancel`], [`plain`] and [`reading`]. The crate uses no HTTP, no SQL,
+//! no async runtime and no environment variables.
 
 #[cfg(test)]
 mod agreement;

@@ -1,7 +1,7 @@
 //! Masks: the pixels of a picture that count.
 //!
-//! A mask comes with a capture, as a picture of its own or as a photograph's alpha ([`Masking`]),
-//! or with an evaluation. Masked pixels are of no consequence for poses, training and scores.
+//! A mask is supplied with a capture, as a separate picture or as a photograph's alpha
+//! ([`Masking`]), or with an evaluation. Masked pixels do not affect poses, training and scores.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::image::shares::{self, Shares};
 use crate::image::{Image, ImageError, Linear, Orientation, read_header};
 
-/// Least share of a pixel's area that is not masked, for it to count: a resized pixel mixes the
-/// colours of its area. All of it, but for rounding.
+/// Smallest unmasked share of a pixel's area at which it counts: a resized pixel mixes the colours
+/// of its area. All of it, up to rounding.
 const LEAST_SHARE: f32 = 0.999;
 
 /// A subset of a picture's pixels.
@@ -24,7 +24,7 @@ pub struct Mask {
 }
 
 impl Mask {
-    /// `holds` has the picture's pixels row by row.
+    /// `holds` marks the picture's pixels row by row.
     ///
     /// # Panics
     /// When the length is not `width * height`: a fault of the caller.
@@ -38,7 +38,7 @@ impl Mask {
         Self::new(width, height, vec![true; width * height])
     }
 
-    /// The pixels that count as a whole, by the share of each that does.
+    /// The pixels that count in full, from each pixel's share.
     pub fn of_shares<E>(shares: &Image<E>) -> Self {
         let holds = shares.plane(0).iter().map(|share| *share >= LEAST_SHARE);
         Self::new(shares.width(), shares.height(), holds.collect())
@@ -75,25 +75,26 @@ impl Mask {
         Image::from_planar(self.width, self.height, values.collect())
     }
 
-    /// As a picture: white where it holds a pixel, else black.
+    /// As a picture: white for the mask's pixels, else black.
     pub fn picture(&self) -> Image {
         let plane = self.holds.iter().map(|&holds| f32::from(u8::from(holds)));
         let plane: Vec<f32> = plane.collect();
         Image::from_planar(self.width, self.height, plane.repeat(3))
     }
 
-    /// Whether it holds the pixel at x and y.
+    /// Whether the mask includes the pixel at x and y.
     pub fn holds(&self, x: usize, y: usize) -> bool {
         self.holds[y * self.width + x]
     }
 
-    /// Whether it holds the pixel around a point, px from the left and top edge; not outside.
+    /// Whether the mask includes the pixel around a point, px from the left and top edge; false
+    /// outside.
     pub fn holds_at(&self, [x, y]: [f32; 2]) -> bool {
         let inside = x >= 0.0 && y >= 0.0 && x < self.width as f32 && y < self.height as f32;
         inside && self.holds(x as usize, y as usize)
     }
 
-    /// Whether it holds each pixel, row by row.
+    /// Whether the mask includes each pixel, row by row.
     pub fn pixels(&self) -> &[bool] {
         &self.holds
     }
@@ -131,7 +132,7 @@ impl Mask {
     }
 }
 
-/// The pixels of a picture that count, in one row; all of the picture without a mask.
+/// The pixels of a picture that count, in one row; the whole picture without a mask.
 pub fn counted<'a, E: Clone>(image: &'a Image<E>, mask: Option<&Mask>) -> Cow<'a, Image<E>> {
     mask.map_or(Cow::Borrowed(image), |mask| Cow::Owned(mask.pixels_of(image)))
 }
@@ -139,32 +140,31 @@ pub fn counted<'a, E: Clone>(image: &'a Image<E>, mask: Option<&Mask>) -> Cow<'a
 /// A picture that masks a photograph.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MaskPicture {
-    /// Where it lies.
+    /// The file.
     pub file: PathBuf,
-    /// Whether white hides, as instant-ngp has it; else black does, as COLMAP and nerfstudio have
-    /// it.
+    /// Whether white hides, as in instant-ngp; else black does, as in COLMAP and nerfstudio.
     pub white_hides: bool,
 }
 
-/// What masks a photograph.
+/// The masks of a photograph.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Masking {
     /// The photograph.
     pub photograph: PathBuf,
-    /// Pictures; what one of them hides is hidden.
+    /// Mask pictures; a pixel hidden by one of them is hidden.
     pub pictures: Vec<MaskPicture>,
     /// Whether transparent pixels of the photograph are hidden, too.
     pub alpha: bool,
 }
 
 impl Masking {
-    /// By the photograph's own alpha, where some of it is transparent.
+    /// Masked by the photograph's own alpha, if some of it is transparent.
     pub fn of(photograph: &Path) -> Self {
         Self { photograph: photograph.to_owned(), pictures: Vec::new(), alpha: true }
     }
 
     /// The pixels of the upright photograph that count, at this size of its aspect. `undistort`
-    /// moves them as those of the photograph are moved, at any size.
+    /// moves them as it does the photograph's, at any size.
     ///
     /// # Errors
     /// [`ImageError`] of a mask.
@@ -194,15 +194,15 @@ impl Masking {
 }
 
 impl MaskPicture {
-    /// The share of each of its pixels that counts, turned as the stored pixels of its photograph
-    /// are. A picture that fits the `upright` photograph alone is upright itself.
+    /// The counted share of each of its pixels, rotated like the stored pixels of its photograph. A
+    /// picture that fits only the `upright` photograph is upright itself.
     fn shares(
         &self,
         orientation: Orientation,
         upright: (usize, usize),
     ) -> Result<Shares, ImageError> {
         let header = read_header(&self.file)?;
-        // The mask's own EXIF, which a photograph's tools may have left in it, says nothing.
+        // Ignore the mask's own EXIF, which tools may have copied from a photograph.
         let stored = match header.orientation.to_exif() {
             5..=8 => (header.height, header.width),
             _ => (header.width, header.height),

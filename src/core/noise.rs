@@ -1,5 +1,5 @@
-//! The paper's noise field: a small network that models the part of an image that is no part of the
-//! scene, so that the splats need not.
+//! The paper's noise field: a small network that models the part of an image that is not part of
+//! the scene, so that the splats need not.
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{IntersectionLimit, NoiseField}};

@@ -1,5 +1,5 @@
-//! Which photograph is which: by its path, as its owner wrote it, whatever its file is called where
-//! it is stored. Poses and ground truth find their photograph by it.
+//! Identifies a photograph by its path as its owner wrote it, whatever the name of the stored file.
+//! Poses and ground truth are matched to photographs by it.
 
 mod lookup;
 
@@ -10,15 +10,15 @@ use unicode_normalization::UnicodeNormalization;
 
 pub use lookup::{Tie, find_each};
 
-/// A relative path with `/` between its parts, in Unicode's NFC: macOS writes `é` as two
+/// A relative path with `/` between its parts, in Unicode NFC: macOS writes e-acute as two
 /// characters, other systems as one.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct PhotoPath(String);
 
 impl PhotoPath {
-    /// From a path as somebody wrote it: Windows parts it by `\`, `./` says nothing, and `..` takes
-    /// back the part before it.
+    /// From a written path: Windows separates parts by `\`, `./` is ignored, and `..` removes the
+    /// part before it.
     pub fn new(written: &str) -> Self {
         let written: String = written.nfc().collect();
         let mut parts: Vec<&str> = Vec::new();
@@ -37,7 +37,7 @@ impl PhotoPath {
         &self.0
     }
 
-    /// The folders, without a slash at the end; empty where there are none.
+    /// The folders, without a trailing slash; empty if there are none.
     pub fn folder(&self) -> &str {
         self.0.rsplit_once('/').map_or("", |(folder, _)| folder)
     }
@@ -53,7 +53,7 @@ impl PhotoPath {
         &self.0[..self.0.len() - self.name().len() + dot]
     }
 
-    /// What stands below this folder, if it does.
+    /// The path below this folder, if it is inside it.
     #[must_use]
     pub fn below(&self, folder: &str) -> Option<Self> {
         let rest = self.0.strip_prefix(folder)?;
@@ -69,21 +69,21 @@ impl PhotoPath {
         Self::new(&format!("{folder}/{}", self.0))
     }
 
-    /// Whether one of its folders has one of these names, in whatever case.
+    /// Whether one of its folders has one of these names, ignoring case.
     pub fn lies_in(&self, names: &[&str]) -> bool {
         let mut folders = self.folder().split('/');
         folders.any(|part| names.iter().any(|name| part.eq_ignore_ascii_case(name)))
     }
 }
 
-/// The letters of IBM's code page 437 from 128 on.
+/// The characters of IBM's code page 437 from 128 on.
 const CODE_PAGE: &str = "ÇüéâäàåçêëèïîìÄÅÉæÆôöòûùÿÖÜ¢£¥₧ƒáíóúñÑªº¿⌐¬½¼¡«»\
                          ░▒▓│┤╡╢╖╕╣║╗╝╜╛┐└┴┬├─┼╞╟╚╔╩╦╠═╬╧╨╤╥╙╘╒╓╫╪┘┌█▄▌▐▀\
                          αßΓπΣσµτΦΘΩδ∞φε∩≡±≥≤⌠⌡÷≈°∙·√ⁿ²■\u{a0}";
 
-/// A name in bytes of any encoding: UTF-8, or else read as code page 437, as zips have it. It is
-/// only shown and compared: equal names stay equal. Where a letter has two bytes, the second one
-/// may be that of a backslash.
+/// Decodes a name in any encoding: UTF-8, or else code page 437, as in zips. It is only displayed
+/// and compared: equal names stay equal. In a two-byte character, the second byte may be that of a
+/// backslash.
 pub fn decoded(name: &[u8]) -> String {
     if let Ok(name) = str::from_utf8(name) {
         return name.to_owned();

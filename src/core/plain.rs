@@ -1,8 +1,8 @@
-//! The rule for names and other short texts that people or programs are shown.
+//! The rule for names and other short texts that are displayed.
 
-/// Whether a text shows as it is written: it has no control characters, which databases, logs and
-/// terminals may obey, no line separators, and none of Unicode's embeddings, overrides and
-/// isolates, which turn the text around them.
+/// Whether a text is displayed as written: no control characters, which databases, logs and
+/// terminals may interpret, no line separators, and none of Unicode's embeddings, overrides and
+/// isolates, which reorder the text around them.
 pub fn is_plain(text: &str) -> bool {
     let is_obeyed =
         |c: char| c.is_control() || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
@@ -14,7 +14,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_texts_that_show_as_written_are_plain() {
+    fn only_texts_displayed_as_written_are_plain() {
         // Persian and many emoji need joiners.
         for plain in ["", "Küche 2", "תמונה", "می\u{200c}خواهم", "\u{1f468}\u{200d}\u{1f373}"]
         {

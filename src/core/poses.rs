@@ -1,5 +1,5 @@
-//! What structure from motion is asked and what it answers, whoever answers: COLMAP or poses
-//! that came with the capture.
+//! The request and result of structure from motion, from COLMAP or from poses supplied with the
+//! capture.
 
 pub mod align;
 pub mod bounds;
@@ -33,13 +33,13 @@ pub use lens::{Distortion, Lens};
 pub use picture::svg;
 pub(crate) use rigid::{Rotation, rotation};
 
-/// Finds where each photograph was taken from. Two implementations: COLMAP by subprocess, and
-/// poses given with the capture.
+/// Finds the viewpoints of photographs. Two implementations: COLMAP as a subprocess, and poses
+/// supplied with the capture.
 pub trait Sfm {
     /// Poses of as many of the request's views as can be found, and sparse points.
     ///
     /// # Errors
-    /// [`PosesError`]; [`PosesError::TooFew`] is expected data about a capture, not a fault.
+    /// [`PosesError`]; [`PosesError::TooFew`] is an expected outcome for a capture, not a fault.
     fn poses(
         &self,
         request: &PoseRequest<'_>,
@@ -47,100 +47,99 @@ pub trait Sfm {
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError>;
 
-    /// What answers, in words that change when its answers may: part of the stage's fingerprint.
+    /// A description that changes if the results may change: part of the stage's fingerprint.
     fn describe(&self) -> String;
 }
 
-/// What is asked of an [`Sfm`].
+/// The request to an [`Sfm`].
 #[derive(Clone, Copy, Debug)]
 pub struct PoseRequest<'a> {
     /// The photographs, in the capture's order (sequential matching relies on it).
     pub views: &'a [PoseView],
-    /// A directory of its own; created, filled, and left with `colmap.log` in it.
+    /// A dedicated directory; created, filled, and left with `colmap.log` in it.
     pub work_dir: &'a Path,
-    /// Seed of what is random, where the tool has one.
+    /// Random seed, if the tool has one.
     pub seed: u64,
 }
 
-/// One photograph to be posed.
+/// One photograph whose pose is requested.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PoseView {
     /// The view's own safe name (a stem without extension).
     pub name: String,
-    /// What its owner calls the photograph.
+    /// The owner's path of the photograph.
     pub path: PhotoPath,
-    /// The original photograph, for its header alone.
+    /// The original photograph, read only for its header.
     pub file: PathBuf,
-    /// What is read in its place.
+    /// The image that is read instead.
     pub prepared: PreparedImage,
     /// Size of the upright original, px.
     pub original: (usize, usize),
-    /// Focal length in px of the original photograph, where its metadata tell.
+    /// Focal length in px of the original photograph, if in its metadata.
     pub focal_px: Option<f64>,
     /// Its mask.
     pub masking: Option<Masking>,
 }
 
-/// The answer. As JSON it is the stage's stored result.
+/// The result. As JSON it is the stage's stored result.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Poses {
     /// Registered views, in the request's order.
     pub views: Vec<PosedView>,
-    /// What the owner calls the photographs of all views asked for, by the views' names.
+    /// The owner's paths of the photographs of all requested views, by view name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub photographs: BTreeMap<String, PhotoPath>,
     /// Sparse points.
     pub points: Vec<SparsePoint>,
     /// Number of registered views.
     pub registered: usize,
-    /// Number of views asked for.
+    /// Number of requested views.
     pub total: usize,
-    /// Who answered: `colmap 3.8`, or which file.
+    /// The source: `colmap 3.8`, or a file.
     pub source: String,
-    /// The fallback strategy that was taken: learned matches of all pairs (`L`, by a loose mapper
-    /// `M`), of the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features
-    /// (`A`..=`E`, and `G` on the plain photographs); or all of it on deblurred photographs (`F`).
-    /// `None` for given poses.
+    /// The fallback strategy used: learned matches of all pairs (`L`, with a loose mapper `M`), of
+    /// the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features (`A`..=`E`,
+    /// and `G` on the plain photographs); or all of these on deblurred photographs (`F`). `None`
+    /// for given poses.
     #[serde(rename = "rung")]
     pub strategy: Option<char>,
-    /// What is said about the place of every view asked for; empty where the poses were given.
+    /// The verdict on every requested view; empty if the poses were given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub verdicts: Vec<PoseVerdict>,
-    /// The names of the views that hang together, where they fall into several parts of three or
-    /// more that no matches connect; else empty.
+    /// The names of connected views, if they form several parts of three or more that no matches
+    /// connect; else empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Vec<String>>,
-    /// Names of the views that given poses keep from training, as the test split of a published
-    /// set.
+    /// Names of the views that given poses hold out from training, such as the test split of a
+    /// published set.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub held_out: Vec<String>,
-    /// Mean reprojection error, px of the pose copies; `None` where nobody measured one.
+    /// Mean reprojection error, px of the pose copies; `None` if not measured.
     pub mean_reprojection_error: Option<f64>,
-    /// Mean number of views a point was seen in; `None` without points.
+    /// Mean number of views that see a point; `None` without points.
     pub mean_track: Option<f64>,
-    /// Whether no strategy met the acceptance rule and the best of them was taken.
+    /// Whether no strategy met the acceptance criteria and the best one was used.
     pub low_confidence: bool,
-    /// Fingerprint of the network that had a hand in them, or would have had: without one they
-    /// are what a run with any other network finds, too.
+    /// Fingerprint of the network that contributed to them, or would have; without it, any other
+    /// network gives the same poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub network: Option<String>,
     /// Wall seconds.
     pub seconds: f64,
-    /// What was done to the world of views and points; the identity in what is found, and in what
-    /// users see.
+    /// The normalisation of views and points; the identity for found poses, and in what users see.
     #[serde(default, skip_serializing_if = "Normalisation::is_identity")]
     pub normalisation: Normalisation,
 }
 
 impl Poses {
-    /// In a world of ordinary size about the origin.
+    /// In a world of ordinary size around the origin.
     #[must_use]
     pub fn normalised(self) -> Self {
         let cameras: Vec<Camera> = self.views.iter().map(|view| view.camera).collect();
         self.within(Normalisation::of(&cameras))
     }
 
-    /// Of the world, normalised so.
+    /// In the world with this normalisation.
     #[must_use]
     pub fn within(self, normalisation: Normalisation) -> Self {
         let camera = |camera: &Camera| normalisation.within(camera);
@@ -148,7 +147,7 @@ impl Poses {
         Self { normalisation, ..moved }
     }
 
-    /// In the world that they were found or given in.
+    /// In the world in which they were found or given.
     #[must_use]
     pub fn in_world(self) -> Self {
         let by = self.normalisation;
@@ -166,7 +165,7 @@ impl Poses {
         self
     }
 
-    /// What is said about the view of this name; of one with a pose where nothing was said before.
+    /// The verdict on the view of this name; a default one for a view with a pose but no verdict.
     pub(crate) fn verdict_of(&mut self, name: &str) -> &mut PoseVerdict {
         let verdicts = &mut self.verdicts;
         let index = verdicts.iter().position(|verdict| verdict.name == name);
@@ -185,42 +184,42 @@ impl Poses {
     }
 }
 
-/// What is said about a view's place.
+/// The verdict on a view's pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseVerdict {
     /// The view's name.
     pub name: String,
-    /// Whether it has a place.
+    /// Whether it has a pose.
     pub status: PoseStatus,
-    /// Its matches with other placed views, of the networks; 0 without networks.
+    /// Its matches with other placed views, found by the networks; 0 without networks.
     pub matches: usize,
-    /// How many of them fit the poses.
+    /// Number of those that fit the poses.
     pub fitting: usize,
-    /// Mean reprojection error of the points that it sees, px of the pose copies; of a late view
-    /// px of its working size. `None` where nobody measured one.
+    /// Mean reprojection error of the points that it sees, px of the pose copies; for a late view
+    /// px of its working size. `None` if not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error_px: Option<f64>,
-    /// Correlation of its structures with those of its render, shaken as it is, in the last round
-    /// that rendered it.
+    /// Correlation of its structures with those of its render, with the same shake, in the last
+    /// round that rendered it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fit: Option<f64>,
 }
 
-/// Whether a view has a place.
+/// Whether a view has a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseStatus {
-    /// Placed, and nothing speaks against it.
+    /// Placed and consistent.
     Registered,
-    /// Placed, but stronger matches than those that placed it say otherwise: it is left out.
+    /// Placed, but contradicted by stronger matches than those that placed it: it is left out.
     Doubtful,
     /// Not placed.
     NotFound,
-    /// Where rough given poses have it: it could not be placed by its matches.
+    /// At its rough given pose: its matches could not place it.
     Given,
     /// Placed by a round's scene; it trains from the next round on.
     Late,
-    /// Placed, but it fitted a round's scene far worse than the others did: it is left out.
+    /// Placed, but it fitted a round's scene far worse than the others: it is left out.
     TakenOut,
 }
 
@@ -243,12 +242,12 @@ impl PosedView {
     }
 }
 
-/// A point that was triangulated, or guessed where poses came without points.
+/// A triangulated point, or a guessed one if poses came without points.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SparsePoint {
     /// World units.
     pub position: [f64; 3],
-    /// sRGB, as bright as the pose copies.
+    /// sRGB, at the brightness of the pose copies.
     pub colour: [u8; 3],
     /// Mean reprojection error, px of the pose copies; 0 where unknown.
     pub error: f64,
@@ -259,35 +258,35 @@ pub struct SparsePoint {
 /// Why there are no poses.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
-    /// Structure from motion worked, but the photographs do not allow it. Expected data.
+    /// Structure from motion worked, but the photographs do not suffice. An expected outcome.
     #[error("only {registered} of {total} photographs could be placed in one scene")]
     TooFew {
         /// Photographs in the largest model.
         registered: usize,
-        /// Photographs asked for.
+        /// Photographs requested.
         total: usize,
-        /// What the user can do.
+        /// Advice for the user.
         advice: String,
     },
-    /// The program is not there.
+    /// The program cannot be started.
     #[error("cannot start `{program}`: {reason}")]
     Missing {
-        /// The program that was tried.
+        /// The attempted program.
         program: String,
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
-    /// The program did not end, or said nothing for too long, and was killed.
+    /// The program did not exit, or was silent for too long, and was killed.
     #[error("`colmap {command}` was stopped after {seconds} s {why}")]
     Timeout {
         /// COLMAP's subcommand.
         command: String,
-        /// Seconds it was given.
+        /// The time limit in seconds.
         seconds: u64,
         /// `in all` or `without output`.
         why: &'static str,
     },
-    /// The program ended with a failure that is not about the photographs.
+    /// The program failed for a reason unrelated to the photographs.
     #[error("`colmap {command}` failed ({status}): {tail}")]
     Tool {
         /// COLMAP's subcommand.
@@ -297,34 +296,34 @@ pub enum PosesError {
         /// Its last lines.
         tail: String,
     },
-    /// The networks that find key points and matches.
+    /// The networks that find key points and matches failed.
     #[error("key points and matches: {detail}")]
     Matching {
-        /// What went wrong.
+        /// The cause.
         detail: String,
     },
-    /// Given poses that cannot be used, or a model that cannot be read.
+    /// Given poses that are unusable, or a model that cannot be read.
     #[error("{}: {reason}", name_of(file))]
     BadFile {
         /// The file at fault.
         file: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         reason: String,
     },
     /// Reading or writing failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
     },
-    /// Asked to stop.
+    /// Cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
-/// The parts of a capture that nothing connects, for a sentence.
+/// The unconnected parts of a capture, for a message.
 pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
     let names: Vec<String> =
         parts.iter().map(|part| format!("{} ({})", part.len(), part.join(", "))).collect();
@@ -335,8 +334,8 @@ pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
     )
 }
 
-/// Whoever gave the file knows where it lies; a client of the service need not learn where it was
-/// put. One of several models is known by its number in a folder.
+/// A file's name for messages, without its path: the owner knows it, and a client of the service
+/// need not see our storage path. One of several models is identified by its number in a folder.
 pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
     let name = |path: &'_ Path| path.file_name().unwrap_or(path.as_os_str()).to_owned();
     let own = name(file).to_string_lossy().into_owned();
@@ -348,13 +347,12 @@ pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
 }
 
 impl PosesError {
-    /// Whether a tool failed at what it was asked, so that asking for less or for other things may
-    /// do better.
+    /// Whether the tool failed at the task itself, so that a smaller or different task may succeed.
     pub fn is_about_the_tool(&self) -> bool {
         matches!(self, Self::Tool { .. } | Self::Matching { .. })
     }
 
-    /// An adapter for `map_err` that remembers the path.
+    /// An adapter for `map_err` that adds the path.
     pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::Io { path, source }

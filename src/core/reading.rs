@@ -1,5 +1,5 @@
-//! Reads values that a user wrote, as JSON or in a query, into types. A fault names its place, and
-//! says in words of JSON, not of Rust, what belongs there.
+//! Reads user values, from JSON or a query, into types. A fault names its location and the expected
+//! type in JSON terms, not Rust's.
 
 use std::fmt::{self, Display};
 
@@ -8,12 +8,12 @@ use serde::de::{self, DeserializeOwned, Deserializer, IntoDeserializer, Unexpect
 use serde::forward_to_deserialize_any;
 use serde_json::{Map, Value};
 
-/// A fault of a value.
+/// A fault in a value.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Fault {
-    /// JSON pointer (RFC 6901) to its place; empty for the whole.
+    /// JSON pointer (RFC 6901) to its location; empty for the whole value.
     pub pointer: String,
-    /// The rest of a sentence about it, as in "must be a string".
+    /// The rest of a sentence about it, such as "must be a string".
     pub words: String,
 }
 
@@ -25,10 +25,10 @@ pub fn read<T: DeserializeOwned>(value: Value) -> Result<T, Fault> {
     T::deserialize(Given { value, key: None, is_text: false })
 }
 
-/// Reads the pairs of a query, whose numbers are texts.
+/// Reads the pairs of a query, whose numbers are strings.
 ///
 /// # Errors
-/// [`Fault`] at a pair that does not fit the type, or whose key appears twice.
+/// [`Fault`] at a pair that does not fit the type, or whose key is duplicated.
 pub fn read_pairs<T: DeserializeOwned>(pairs: Vec<(String, String)>) -> Result<T, Fault> {
     let mut fields = Map::new();
     for (key, text) in pairs {
@@ -41,14 +41,14 @@ pub fn read_pairs<T: DeserializeOwned>(pairs: Vec<(String, String)>) -> Result<T
     T::deserialize(Given { value: Value::Object(fields), key: None, is_text: true })
 }
 
-/// A JSON pointer to what `rest` points to below `key`.
+/// A JSON pointer to the location `rest` below `key`.
 pub fn below(key: &str, rest: &str) -> String {
     let key = key.replace('~', "~0").replace('/', "~1");
     format!("/{key}{rest}")
 }
 
 impl Fault {
-    /// A value of the wrong type, which whoever reads it names.
+    /// A value of the wrong type; the caller names the expected one.
     fn of_type() -> Self {
         Self::default()
     }
@@ -107,11 +107,11 @@ fn one_of(known: &[&str]) -> String {
     }
 }
 
-/// A value with its key in what holds it.
+/// A value with its key in the enclosing value.
 struct Given {
     value: Value,
     key: Option<String>,
-    /// Whether a number is given as a text.
+    /// Whether a number is given as a string.
     is_text: bool,
 }
 
@@ -166,7 +166,7 @@ impl Given {
             let whole = text.parse::<u64>().map(Value::from);
             let whole = whole.or_else(|_| text.parse::<i64>().map(Value::from));
             let number = whole.or_else(|_| text.parse::<f64>().map(Value::from));
-            // No number is null, which is none either.
+            // Text that is not a number becomes null, which is not a number either.
             self.value = number.unwrap_or_default();
         }
         self.visit(visitor, wanted)
@@ -181,7 +181,7 @@ impl<'de> IntoDeserializer<'de, Fault> for Given {
     }
 }
 
-/// Methods that read numbers of a type, with what they want.
+/// Methods that read numbers, with their expected types.
 macro_rules! numbers {
     ($($method:ident: $wanted:expr,)*) => {$(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
@@ -190,7 +190,7 @@ macro_rules! numbers {
     )*};
 }
 
-/// Methods that read something else.
+/// Methods that read other types.
 macro_rules! others {
     ($($method:ident: $wanted:expr,)*) => {$(
         fn $method<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, Fault> {
@@ -259,7 +259,7 @@ impl<'de> Deserializer<'de> for Given {
         _: &'static [&'static str],
         visitor: V,
     ) -> Result<V::Value, Fault> {
-        // Otherwise serde takes an array for a struct, field by field.
+        // Otherwise serde accepts an array for a struct, field by field.
         if self.value.is_array() {
             self.value = Value::Null;
         }
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn what_fits_is_read() {
+    fn fitting_values_are_read() {
         let camera = json!({ "name": "a", "lenses": [{ "focal": 2, "kind": "far" }] });
         let lens = Lens { focal: 2.0, kind: Some(Kind::Far) };
         let wanted = Camera { name: "a".to_owned(), count: 0, lenses: Some(vec![lens]), row: None };
@@ -334,9 +334,9 @@ mod tests {
     }
 
     #[test]
-    fn a_fault_names_its_place_and_what_belongs_there() {
+    fn a_fault_names_its_location_and_the_expected_type() {
         let lens = |lens: Value| json!({ "name": "a", "lenses": [{ "focal": 1 }, lens] });
-        for (value, told) in [
+        for (value, message) in [
             (json!([]), "it must be an object"),
             (json!(["a", 1, null, null]), "it must be an object"),
             (json!({}), "`name` is missing"),
@@ -362,13 +362,13 @@ mod tests {
                 "`lenses/1/kind` must be one of `near`, `far`",
             ),
         ] {
-            let fault = read::<Camera>(value).expect_err(told);
-            assert_eq!(fault.to_string(), told);
+            let fault = read::<Camera>(value).expect_err(message);
+            assert_eq!(fault.to_string(), message);
         }
     }
 
     #[test]
-    fn numbers_of_a_query_are_texts() {
+    fn query_numbers_are_strings() {
         let pairs = |pairs: &[(&str, &str)]| {
             let owned = |(key, text): &(&str, &str)| ((*key).to_owned(), (*text).to_owned());
             pairs.iter().map(owned).collect::<Vec<_>>()
@@ -377,14 +377,14 @@ mod tests {
         assert_eq!(lens.expect("read").focal, -20.0);
         let camera = read_pairs::<Camera>(pairs(&[("name", "7"), ("count", "7")]));
         assert_eq!(camera.map(|camera| (camera.name, camera.count)), Ok(("7".to_owned(), 7)));
-        for (wrong, told) in [
+        for (wrong, message) in [
             (&[("focal", "NaN")][..], "`focal` must be a number"),
             (&[("focal", "")], "`focal` must be a number"),
             (&[("focal", "1"), ("focal", "1")], "`focal` must not appear twice"),
             (&[("fokal", "1")], "`fokal` is unknown; use one of `focal`, `kind`"),
         ] {
-            let fault = read_pairs::<Lens>(pairs(wrong)).expect_err(told);
-            assert_eq!(fault.to_string(), told);
+            let fault = read_pairs::<Lens>(pairs(wrong)).expect_err(message);
+            assert_eq!(fault.to_string(), message);
         }
     }
 }

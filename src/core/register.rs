@@ -125,9 +125,9 @@ pub fn correction(
     }))
 }
 
-/// The image without what is larger than a window: light that differs from photograph to photograph
-/// (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge. Pixels that are
-/// not `kept` take no part in the means.
+/// The image without structures larger than a window: light that differs from photograph to
+/// photograph (a shadow, a reflection, a tone mapped locally) is smooth, and moves no edge. Pixels
+/// that are not `kept` are left out of the means.
 fn detail(image: &Image, kept: Option<&Mask>) -> Image {
     let (width, height) = (image.width(), image.height());
     let reach = (width.max(height) / WINDOWS).max(BORDER);
@@ -298,20 +298,20 @@ fn middle_difference(
     (deviation.is_finite() && deviation > 0.0).then_some(deviation)
 }
 
-/// Tells the absolute difference of every value that counts.
+/// Passes the absolute difference of every value that counts to a callback.
 fn differences(
     photograph: &Image,
     render: &Image,
     exposure: &Exposure,
     kept: Option<&Mask>,
-    mut tell: impl FnMut(f32),
+    mut receive: impl FnMut(f32),
 ) {
     let inside = photograph.height().saturating_sub(2 * BORDER).max(1);
     let rows = rows_within(photograph, kept).zip(rows_within(render, kept));
     for (at, (seen, rendered)) in rows.enumerate() {
         let channel = (at / inside).min(2);
         for (seen, rendered) in seen.iter().zip(&*rendered) {
-            tell((seen - exposure.of(channel, *rendered)).abs());
+            receive((seen - exposure.of(channel, *rendered)).abs());
         }
     }
 }

@@ -1,14 +1,14 @@
-//! The folder that a run leaves: where everything in it lies, and from where one may look at it.
+//! The output folder of a run: the paths in it, and the viewpoints for its pictures.
 //!
 //! ```text
 //! scene.ply  cameras.json  metrics.json  config.json  poses.json  poses.svg  log.txt
 //! inputs/VIEW.jpg  gt/VIEW.jpg  restored/VIEW.png
 //! rounds/ROUND/{scene.ply, scene_at_target.ply, training.json}
 //! rounds/ROUND/{enhanced, deblurred, renders}/VIEW.jpg
-//! evaluation/  what sharp photographs say, where `fled eval` was asked
-//! work/  what only a resumed run reads
+//! evaluation/  scores against sharp photographs, after `fled eval`
+//! work/  only for resumed runs
 //! ```
-//! Paths only: nothing here reads, writes or makes a file.
+//! Paths only: nothing here reads, writes or creates a file.
 
 mod viewpoint;
 
@@ -16,10 +16,11 @@ use std::path::{Path, PathBuf};
 
 pub use viewpoint::{PictureSize, Viewpoint, ViewpointError};
 
-/// Name of the folder of what only a resumed run reads.
+/// Name of the folder for resumed runs only.
 const WORK: &str = "work";
 
-/// What a run leaves at the top of its folder, but for ground truth: photographs have that, too.
+/// The top-level files of a run's folder, except ground truth: captures of photographs have that,
+/// too.
 const TOP: [&str; 12] = [
     "scene.ply",
     "cameras.json",
@@ -52,7 +53,7 @@ impl RunFolder {
         &self.root
     }
 
-    /// The delivered scene: that of the delivered round, at the target brightness.
+    /// The delivered scene: the delivered round's, at the target brightness.
     pub fn scene(&self) -> PathBuf {
         self.root.join("scene.ply")
     }
@@ -81,13 +82,13 @@ impl RunFolder {
         self.root.join("config.json")
     }
 
-    /// What structure from motion said, before any correction, and which views joined or left
+    /// The result of structure from motion, before any correction, and which views joined or left
     /// since.
     pub fn poses(&self) -> PathBuf {
         self.root.join("poses.json")
     }
 
-    /// The same to look at: cameras and points from above.
+    /// A picture of the poses: cameras and points from above.
     pub fn poses_picture(&self) -> PathBuf {
         self.root.join("poses.svg")
     }
@@ -97,7 +98,7 @@ impl RunFolder {
         self.root.join("log.txt")
     }
 
-    /// What sharp photographs say about the run.
+    /// The evaluation of the run against sharp photographs.
     pub fn evaluation(&self) -> PathBuf {
         self.root.join("evaluation")
     }
@@ -112,7 +113,7 @@ impl RunFolder {
         self.inputs().join(format!("{view}.jpg"))
     }
 
-    /// Folder of the ground truth, where the capture brings one.
+    /// Folder of the ground truth, if the capture has one.
     pub fn truths(&self) -> PathBuf {
         self.root.join("gt")
     }
@@ -122,36 +123,34 @@ impl RunFolder {
         self.truths().join(format!("{view}.jpg"))
     }
 
-    /// Folder of the renders of the round that is delivered if none follows, at the target
-    /// brightness.
+    /// Folder of the renders of the latest deliverable round, at the target brightness.
     pub fn restored(&self) -> PathBuf {
         self.root.join("restored")
     }
 
-    /// A view restored: rendered from the round that is delivered if none follows, at the target
-    /// brightness; PNG.
+    /// A restored view: rendered from the latest deliverable round, at the target brightness; PNG.
     pub fn restored_view(&self, view: &str) -> PathBuf {
         self.restored().join(format!("{view}.png"))
     }
 
-    /// What a round leaves; rounds are 1-based.
+    /// The output of a round; rounds are 1-based.
     pub fn round(&self, round: u32) -> RoundFolder {
         RoundFolder { root: self.root.join("rounds").join(round.to_string()) }
     }
 
-    /// What only a resumed run reads.
+    /// The files for resumed runs only.
     pub fn work(&self) -> WorkFolder {
         WorkFolder { root: self.root.join(WORK) }
     }
 
-    /// Whether a run leaves such a file, by its name relative to the folder and with `/`.
+    /// Whether a run writes a file with this name, relative to the folder and with `/`.
     pub fn is_left(name: &str) -> bool {
         name.split('/').next().is_some_and(|top| TOP.contains(&top))
     }
 
-    /// Whether a file of this name, relative to the folder and with `/`, is part of the result: it
-    /// lies below the folder, is not for a resumed run only, and no part of its name begins with a
-    /// dot, as those of unfinished and temporary files do.
+    /// Whether a file with this name, relative to the folder and with `/`, is part of the result:
+    /// it is below the folder, is not only for resumed runs, and no part of its name begins with a
+    /// dot, as in unfinished and temporary files.
     pub fn is_public(name: &str) -> bool {
         let is_plain = |part: &str| {
             let is_hidden_or_up = part.is_empty() || part.starts_with('.');
@@ -161,7 +160,7 @@ impl RunFolder {
     }
 }
 
-/// The pictures of every view that a round leaves.
+/// The pictures of every view that a round writes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum RoundPictures {
     /// H: the dark views after the round's tone curve.
@@ -203,22 +202,22 @@ impl RoundFolder {
         self.root.join("scene.ply")
     }
 
-    /// The scene at the target brightness; the last round has none, it is there already.
+    /// The scene at the target brightness; not for the last round, whose scene already has it.
     pub fn scene_at_target(&self) -> PathBuf {
         self.root.join("scene_at_target.ply")
     }
 
-    /// The cameras of the round's views, as its training left them.
+    /// The cameras of the round's views, as corrected by training.
     pub fn cameras(&self) -> PathBuf {
         self.root.join("cameras.json")
     }
 
-    /// The poses of the rounds after this one, where its scene changed them; normalised.
+    /// The poses for the rounds after this one, if its scene changed them; normalised.
     pub fn late_views(&self) -> PathBuf {
         self.root.join("late_views.json")
     }
 
-    /// What training found out besides the scene.
+    /// The results of training besides the scene.
     pub fn training(&self) -> PathBuf {
         self.root.join("training.json")
     }
@@ -234,7 +233,7 @@ impl RoundFolder {
     }
 }
 
-/// What a network made of every view, kept in full precision until the run has ended well.
+/// A network's output for every view, kept in full precision until the run succeeds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum KeptImages {
     /// The dark views, brightened by a network; round 0.
@@ -253,7 +252,7 @@ impl KeptImages {
     }
 }
 
-/// The folder of what only a resumed run reads.
+/// The folder of the files for resumed runs only.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkFolder {
     root: PathBuf,
@@ -270,27 +269,27 @@ impl WorkFolder {
         self.root.join("capture")
     }
 
-    /// Where structure from motion works.
+    /// The working folder of structure from motion.
     pub fn poses(&self) -> PathBuf {
         self.root.join("poses")
     }
 
-    /// What structure from motion said.
+    /// The result of structure from motion.
     pub fn found_poses(&self) -> PathBuf {
         self.poses().join("found.json")
     }
 
-    /// Pictures in which late views are looked for.
+    /// Pictures in which late views are searched for.
     pub fn late_views(&self) -> PathBuf {
         self.root.join("late_views")
     }
 
-    /// Where it works on deblurred copies.
+    /// The working folder of structure from motion on deblurred copies.
     pub fn poses_of_deblurred(&self) -> PathBuf {
         self.poses().join("deblurred")
     }
 
-    /// Says that the stage of this name is finished, and for which inputs.
+    /// Marks the stage with this name as finished, with its inputs.
     pub fn stamp(&self, stage: &str) -> PathBuf {
         self.root.join("stamps").join(format!("{stage}.json"))
     }
@@ -300,7 +299,7 @@ impl WorkFolder {
         self.root.join("training.checkpoint")
     }
 
-    /// What the scene that trains looks like, JPEG; there as long as it trains.
+    /// The current look of the scene in training, JPEG; exists only during training.
     pub fn live_picture(&self) -> PathBuf {
         self.root.join("training.jpg")
     }
@@ -310,7 +309,7 @@ impl WorkFolder {
         self.root.join(images.name()).join(round.to_string()).join(format!("{view}.f32"))
     }
 
-    /// What goes when a run has ended well: the large files and folders among these.
+    /// The files and folders deleted when a run succeeds: the large ones of these.
     pub fn disposable(&self) -> [PathBuf; 4] {
         [
             self.root.join(KeptImages::Deblurred.name()),
@@ -326,7 +325,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_file_lies_where_readers_of_a_result_look_for_it() {
+    fn files_have_the_published_paths() {
         let run = RunFolder::new("out");
         let round = run.round(2);
         let work = run.work();
@@ -366,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn work_hidden_files_and_ways_out_are_not_public() {
+    fn work_hidden_and_outside_files_are_not_public() {
         for name in ["scene.ply", "rounds/1/renders/a b.jpg", "inputs/work.jpg"] {
             assert!(RunFolder::is_public(name), "{name}");
         }

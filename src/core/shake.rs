@@ -42,9 +42,9 @@ pub(crate) const SMOOTH_WEIGHT: f64 = 0.05;
 pub(crate) const SMOOTH_BEND: f64 = 0.02;
 
 /// Least elongation of a kernel that shows a significant shake, px, at a longer side of
-/// [`TELLS_SIDE`] (docs/decisions/shake.md).
-const TELLS_FROM: f64 = 1.5;
-const TELLS_SIDE: f64 = 560.0;
+/// [`SIGNIFICANT_SIDE`] (docs/decisions/shake.md).
+const SIGNIFICANT_FROM: f64 = 1.5;
+const SIGNIFICANT_SIDE: f64 = 560.0;
 
 /// One tap: moves a share of the light by `offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -161,7 +161,7 @@ impl ShakeKernel {
     /// this longer side, px. A shake grows with the image and noise does not: the least one grows
     /// with the square root of the side, which lies between the two.
     pub fn significance(&self, longer_side: usize) -> f64 {
-        self.elongation() / (TELLS_FROM * (longer_side as f64 / TELLS_SIDE).sqrt())
+        self.elongation() / (SIGNIFICANT_FROM * (longer_side as f64 / SIGNIFICANT_SIDE).sqrt())
     }
 
     /// The kernel of the image at half the size.
@@ -270,7 +270,7 @@ impl Shake {
         &self.response
     }
 
-    /// Whether it serves images of this size, px.
+    /// Whether it has room for images of this size, px.
     pub fn fits(&self, size: [usize; 2]) -> bool {
         size[0] * size[1] <= self.light.len()
     }

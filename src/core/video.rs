@@ -1,4 +1,4 @@
-//! Videos of a finished scene: a way of the camera through it, and its pictures as H.264.
+//! Videos of a finished scene: a camera path through it, and its pictures as H.264.
 
 mod encode;
 mod flight;

@@ -1,27 +1,27 @@
-//! Where a world lies and how large it is, taken out before anything becomes `f32`: a capture in
-//! UTM metres or in millimetres trains as one of ordinary size about the origin does.
+//! Removes the position and size of a world before anything becomes `f32`: a capture in UTM metres
+//! or in millimetres trains like one of ordinary size around the origin.
 
 use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 use super::Camera;
 
-/// The scale is a power of this one, so that nothing is rounded by it and worlds of ordinary size,
-/// such as COLMAP's, stay as they are. Of all lengths, only the near plane of 0.01 does not grow
-/// with the scene: it lies within 0.5 % of the scene's distance.
+/// The scale is a power of this, so that it causes no rounding and worlds of ordinary size, such as
+/// COLMAP's, are unchanged. The only length that does not scale with the scene is the near plane of
+/// 0.01: it is within 0.5 % of the scene's distance.
 const SCALE_STEP: f64 = 16.0;
 
-/// Distance from which a scene is seen after scaling, at least; less than [`SCALE_STEP`] times it.
+/// Smallest viewing distance of a scene after scaling; it stays below [`SCALE_STEP`] times this.
 const LEAST_SIZE: f64 = 2.0;
 
 /// The offset is a multiple of four to eight sizes of the scene: short to write, exact to subtract,
-/// and zero for a scene that lies about the origin.
+/// and zero for a scene around the origin.
 const OFFSET_STEP: f64 = 4.0;
 
-/// Steps of `f32` that may be written, as a share of the scene's size.
+/// Coarsest step of `f32` in files, as a share of the scene's size.
 const COARSEST: f64 = 1e-4;
 
-/// Cameras that are farther from the middle one than so many median distances do not count.
+/// Cameras farther from the middle than this many median distances are ignored.
 const OUTLYING: f64 = 10.0;
 
 /// The similarity from a world, the given or COLMAP's, to the one in which a scene trains:
@@ -30,9 +30,9 @@ const OUTLYING: f64 = 10.0;
 pub struct Normalisation {
     /// World units.
     pub offset: DVec3,
-    /// Trained units in a unit of the world.
+    /// Trained units per world unit.
     pub scale: f64,
-    /// Whether PLY files, which hold `f32`, leave the offset out.
+    /// Whether PLY files, which store `f32`, leave the offset out.
     pub left_out: bool,
 }
 
@@ -43,7 +43,7 @@ impl Default for Normalisation {
 }
 
 impl Normalisation {
-    /// Of the world in which these cameras stand; the identity where they do not tell its size.
+    /// For the world of these cameras; the identity if they do not determine its size.
     pub fn of(cameras: &[Camera]) -> Self {
         let Some(first) = cameras.first().map(place) else {
             return Self::default();
@@ -56,7 +56,7 @@ impl Normalisation {
             return Self::default();
         }
         let step = OFFSET_STEP * size.log2().floor().exp2();
-        // Without the sum a zero may be negative.
+        // Adding zero turns a negative zero positive.
         let offset = ((first + middle) / step).round() * step + DVec3::ZERO;
         let largest = offset.abs().max_element();
         let of_f32 = (largest.log2().floor() - f64::from(f32::MANTISSA_DIGITS - 1)).exp2();
@@ -69,18 +69,18 @@ impl Normalisation {
         *self == Self::default()
     }
 
-    /// A point of the world in the trained one.
+    /// Transforms a world point to the trained world.
     pub fn point_within(&self, world: DVec3) -> DVec3 {
         (world - self.offset) * self.scale
     }
 
-    /// A trained point in the world.
+    /// Transforms a trained point to the world.
     pub fn point_in_world(&self, trained: DVec3) -> DVec3 {
         trained / self.scale + self.offset
     }
 
-    /// A camera of the world in the trained one. Its rotation becomes exact: far from the origin a
-    /// rotation of six digits moves what is seen by metres.
+    /// Transforms a world camera to the trained world. Its rotation becomes exact: far from the
+    /// origin a rotation of six digits shifts the view by metres.
     #[must_use]
     pub fn within(&self, camera: &Camera) -> Camera {
         if self.is_identity() {
@@ -91,7 +91,7 @@ impl Normalisation {
         Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
     }
 
-    /// A trained camera in the world.
+    /// Transforms a trained camera to the world.
     #[must_use]
     pub fn in_world(&self, camera: &Camera) -> Camera {
         if self.is_identity() {
@@ -102,18 +102,18 @@ impl Normalisation {
         Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
     }
 
-    /// The offset that the coordinates of PLY files leave out.
+    /// The offset missing from the coordinates in PLY files.
     pub fn missing_in_files(&self) -> DVec3 {
         if self.left_out { self.offset } else { DVec3::ZERO }
     }
 }
 
-/// Where a camera stands, exactly where its matrix is no exact rotation, too.
+/// The position of a camera, exact even if its matrix is not an exact rotation.
 fn place(camera: &Camera) -> DVec3 {
     -(camera.rotation().inverse() * camera.translation())
 }
 
-/// The middle of the cameras, and those that are not far away by mistake.
+/// The middle of the cameras, and the cameras that are not outliers.
 fn inlying(cameras: &[Camera]) -> (DVec3, Vec<Camera>) {
     let axis = |axis: usize| median(cameras.iter().map(|camera| camera.centre()[axis]));
     let middle = DVec3::new(axis(0), axis(1), axis(2));
@@ -123,8 +123,8 @@ fn inlying(cameras: &[Camera]) -> (DVec3, Vec<Camera>) {
     (middle, inlying.copied().collect())
 }
 
-/// Median distance of cameras from what all of them look at or, where they look in parallel or
-/// outwards, twice their extent; 0 where all stand at one place.
+/// Median distance of cameras from their common target or, if they look in parallel or outwards,
+/// twice their extent; 0 if all are at one place.
 pub fn viewing_distance(cameras: &[Camera]) -> f64 {
     let centres: Vec<DVec3> = cameras.iter().map(Camera::centre).collect();
     let apart = centres.iter().flat_map(|a| centres.iter().map(|b| a.distance(*b)));

@@ -1,19 +1,19 @@
-//! Cameras on an orbit around the scene, from the cameras of its photographs alone.
+//! Cameras on an orbit around the scene, derived only from the cameras of its photographs.
 
 use glam::{DMat3, DVec3};
 
 use super::{Camera, Intrinsics, NamedCamera};
 
-/// Weight of the guess "in front of the photographers" against the crossing of their lines of
-/// sight, a photograph. Parallel lines do not cross anywhere, and then the guess decides.
+/// Weight of the guess "in front of the photographers" against the intersection of their lines of
+/// sight, per photograph. Parallel lines do not intersect, and then the guess decides.
 const GUESS_WEIGHT: f64 = 1e-3;
-/// Highest absolute elevation, degrees: at the pole the camera would not know where up is.
+/// Highest absolute elevation, degrees: at the pole up is undefined.
 const STEEPEST: f64 = 85.0;
 
-/// An orbit. Azimuth 0, elevation 0, distance 1 look from the middle of the photographers.
+/// An orbit. Azimuth 0, elevation 0 and distance 1 are the middle of the photographers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Orbit {
-    /// What the photographers looked at, world units.
+    /// The point that the photographers looked at, world units.
     pub centre: DVec3,
     /// Their median distance from it, world units.
     pub radius: f64,
@@ -25,8 +25,7 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// From the cameras of a scene; `None` when there are none or they say nothing about
-    /// directions.
+    /// From the cameras of a scene; `None` if there are none or they do not determine directions.
     pub fn from_cameras(cameras: &[NamedCamera]) -> Option<Self> {
         let intrinsics = cameras.first()?.intrinsics;
         let cameras: Vec<Camera> = cameras.iter().map(NamedCamera::camera).collect();
@@ -70,7 +69,7 @@ impl Orbit {
         Camera::look_at(self.fitted(width, height), eye, self.centre, -up)
     }
 
-    /// Where a camera stands around the centre, degrees to the right of the middle of the
+    /// The position of a camera around the centre, degrees to the right of the middle of the
     /// photographers, -180 to 180.
     pub fn azimuth_of(&self, camera: &Camera) -> f64 {
         let [_, right, towards] = self.axes;
@@ -78,7 +77,7 @@ impl Orbit {
         place.dot(right).atan2(place.dot(towards)).to_degrees()
     }
 
-    /// The photograph's field of view on an image of another shape: all of it is seen.
+    /// The photograph's field of view in an image of another shape: all of it is visible.
     fn fitted(&self, width: usize, height: usize) -> Intrinsics {
         let k = &self.intrinsics;
         let scale = (width as f64 / k.width as f64).min(height as f64 / k.height as f64);
@@ -97,7 +96,7 @@ fn mean(cameras: &[Camera], of: fn(&Camera) -> DVec3) -> DVec3 {
     cameras.iter().map(of).sum::<DVec3>() / cameras.len() as f64
 }
 
-/// The point nearest to all optical axes, least squares, drawn slightly to a guess in front.
+/// The point nearest to all optical axes, least squares, with a small weight on a guess in front.
 fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
     let spread = cameras.iter().map(|c| c.centre().distance(middle)).fold(0.0, f64::max);
     let forward = mean(cameras, Camera::forward).try_normalize();
@@ -107,7 +106,7 @@ fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
     let (mut matrix, mut vector) = (DMat3::from_diagonal(DVec3::splat(weight)), guess * weight);
     for camera in cameras {
         let f = camera.forward();
-        // Projects onto the plane across the optical axis: what is along the axis costs nothing.
+        // Projects onto the plane across the optical axis: distance along the axis costs nothing.
         let across = DMat3::IDENTITY - DMat3::from_cols(f * f.x, f * f.y, f * f.z);
         matrix += across;
         vector += across * camera.centre();
@@ -147,12 +146,12 @@ mod tests {
     }
 
     #[test]
-    fn no_turn_is_the_middle_photograph_and_right_is_right() {
+    fn azimuth_zero_is_the_middle_photograph_and_positive_is_right() {
         let cameras = ring(DVec3::ZERO, 4.0, 60.0);
         let orbit = Orbit::from_cameras(&cameras).expect("an orbit");
         let middle = cameras[3].camera();
         let front = orbit.camera(0.0, 0.0, 1.0, (200, 100));
-        // The mean of a wide ring lies inside it, so it sees the centre a few degrees steeper.
+        // The mean of a wide ring is inside it, so it sees the centre a few degrees steeper.
         assert!(front.forward().angle_between(middle.forward()).to_degrees() < 5.0);
         let right = orbit.camera(20.0, 0.0, 1.0, (200, 100));
         let moved = front.world_to_camera.transform_point3(right.centre());

@@ -1,8 +1,8 @@
-//! Unpacking a zip that may be hostile.
+//! Unpacks a zip that may be hostile.
 //!
-//! Everything is checked on the central directory before a byte is written; then only what plays
-//! a role is unpacked, photographs under names of our own, so that no name of the archive ever
-//! becomes a path.
+//! Everything is checked in the central directory before a byte is written. Then only files with a
+//! role are unpacked, photographs under our own names, so no name in the archive ever becomes a
+//! path.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom, Write};
@@ -22,35 +22,34 @@ use super::heads;
 use super::layout::{POSE_FILES, hold};
 use super::video::is_video;
 
-/// Most bytes of all files of an archive together, unpacked.
+/// Largest total unpacked size of an archive, bytes.
 pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
 
-/// Most that a file may shrink by packing, where it is large: photographs do not shrink, even an
-/// uncompressed dark TIFF stays under 20; a bomb shrinks 1000 times.
+/// Largest compression ratio of a large file: photographs hardly compress, and even an uncompressed
+/// dark TIFF stays under 20; a bomb compresses 1000 times.
 const MAX_RATIO: u64 = 100;
 
-/// Files up to this size may shrink by any factor: 1 MiB of zeros harms nobody.
+/// Files up to this size may have any ratio: 1 MiB of zeros is harmless.
 const RATIO_FREE_BYTES: u64 = 1 << 20;
 
-/// Most that all files together may shrink: many small ones are a bomb, too. Above what the
-/// darkest uncompressed TIFFs come to.
+/// Largest compression ratio of all files together: many small ones are a bomb, too. Above that of
+/// the darkest uncompressed TIFFs.
 const MAX_TOTAL_RATIO: u64 = 25;
 
-/// Archives up to this size, unpacked, may shrink by any factor.
+/// Archives up to this unpacked size may have any ratio.
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
 
-/// Largest file that is unpacked only to see what it is; larger than lists of poses are, and raw
-/// files.
+/// Largest file that is unpacked only to identify it; pose lists and raw files are smaller.
 const MAX_METADATA_BYTES: u64 = 64 << 20;
 
-/// Most bytes of such files together.
+/// Largest total size of such files, bytes.
 const MAX_METADATA_TOTAL: u64 = 256 << 20;
 
-/// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
+/// Compression methods that are read. Windows uses Deflate64 for files over 2 GB.
 const READ_METHODS: [CompressionMethod; 3] =
     [CompressionMethod::Stored, CompressionMethod::Deflated, CompressionMethod::Deflate64];
 
-/// Other methods of programs in use.
+/// Other methods in use.
 const UNREAD_METHODS: [(CompressionMethod, &str); 6] = [
     (CompressionMethod::BZIP2, "bzip2"),
     (CompressionMethod::LZMA, "LZMA"),
@@ -60,14 +59,14 @@ const UNREAD_METHODS: [(CompressionMethod, &str); 6] = [
     (CompressionMethod::IMPLODE, "Implode"),
 ];
 
-/// Whether a file starts as a zip does.
+/// Whether a file has the signature of a zip.
 pub(super) fn is_zip(path: &Path) -> io::Result<bool> {
     let mut head = Vec::new();
     File::open(path)?.take(4).read_to_end(&mut head)?;
     Ok(head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"))
 }
 
-/// Unpacks what plays a role into `target`, which is made anew, and gives its files by their
+/// Unpacks the files with a role into `target`, which is recreated, and returns them with their
 /// names in the archive. On failure `target` is removed.
 pub(super) fn unpack(path: &Path, target: &Path) -> Result<Vec<Entry>, CaptureError> {
     let (mut archive, wanted) = open(path)?;
@@ -79,16 +78,16 @@ pub(super) fn unpack(path: &Path, target: &Path) -> Result<Vec<Entry>, CaptureEr
     }
     let outcome = unpack_all(&mut archive, wanted, target);
     if outcome.is_err() {
-        // The first error is the one worth telling.
+        // Report the first error, not this one.
         let _ = fs::remove_dir_all(target);
     }
     outcome
 }
 
-/// Bytes that the files of a zip take once unpacked; 0 where `path` is no zip.
+/// Unpacked size of the files of a zip, bytes; 0 if `path` is not a zip.
 ///
 /// # Errors
-/// [`CaptureError::Archive`] for a zip that is not unpacked, and faults of the file system.
+/// [`CaptureError::Archive`] for a zip that cannot be unpacked, and file system errors.
 pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
     if !is_zip(path).map_err(CaptureError::io(path))? {
         return Ok(0);
@@ -97,27 +96,29 @@ pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
     Ok(wanted.iter().filter(|item| item.is_unpacked).map(|item| item.size).sum())
 }
 
-/// Writes one file of a zip: that which was unpacked as `file`, wherever that was.
+/// Writes one file of a zip: the one unpacked as `file`, wherever that was.
 ///
 /// # Errors
-/// [`CaptureError::Archive`] for a zip that is not unpacked or has no such file, and faults of the
-/// file system, those of `out` among them.
+/// [`CaptureError::Archive`] for a zip that cannot be unpacked or has no such file, and file system
+/// errors, including those of `out`.
 pub fn write_unpacked(path: &Path, file: &Path, out: &mut impl Write) -> Result<(), CaptureError> {
     let (mut archive, wanted) = open(path)?;
     let number = file.file_stem().and_then(|stem| stem.to_str()?.parse::<usize>().ok());
     let item = number.and_then(|number| wanted.get(number)).filter(|item| item.is_unpacked);
     let item = item.ok_or_else(|| ArchiveFault::whole("has no such file"))?;
-    let mut source =
-        archive.by_index(item.index).map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
+    let mut source = archive
+        .by_index(item.index)
+        .map_err(|error| ArchiveFault::of(&item.name, in_words(&error)))?;
     copy_one(&mut source, item, out, path)
 }
 
-/// Opens a zip and holds its directory against the rules.
-fn open(path: &Path) -> Result<(ZipArchive<File>, Vec<Wanted>), CaptureError> {
+/// Opens a zip and checks its directory against the rules.
+fn open(path: &Path) -> Result<(ZipArchive<File>, Vec<Selected>), CaptureError> {
     let mut file = File::open(path).map_err(CaptureError::io(path))?;
     let length = file.metadata().map_err(CaptureError::io(path))?.len();
     refuse_absurd_counts(&mut file)?;
-    let mut archive = ZipArchive::new(file).map_err(|error| ArchiveFault::whole(told(&error)))?;
+    let mut archive =
+        ZipArchive::new(file).map_err(|error| ArchiveFault::whole(in_words(&error)))?;
     let wanted = check(&mut archive, length)?;
     Ok((archive, wanted))
 }
@@ -136,7 +137,7 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     let record = at.and_then(|at| bytes.get(at..at + RECORD));
     let record =
         record.ok_or_else(|| ArchiveFault::whole("cut short: its directory is missing"))?;
-    // 65,535 stands for "see the zip64 record": more than are accepted in any case.
+    // 65,535 means "see the zip64 record": more than the limit in any case.
     let count = usize::from(u16::from_le_bytes([record[10], record[11]]));
     if count > MAX_FILES {
         return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
@@ -144,8 +145,8 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     Ok(())
 }
 
-/// An entry that is unpacked, or only listed.
-struct Wanted {
+/// An entry that is unpacked or only listed.
+struct Selected {
     index: usize,
     name: String,
     size: u64,
@@ -158,13 +159,13 @@ struct Wanted {
 enum Role {
     /// A photograph.
     Photograph,
-    /// Poses, or which photographs are held out.
+    /// Poses, or the list of held-out photographs.
     Known,
-    /// To see whether it is of a format that is not read, as its name says.
+    /// Identifies whether the format is unsupported, as its name suggests.
     Unread,
-    /// Its content decides whether it is used.
+    /// The content decides whether it is used.
     Metadata,
-    /// For nothing: a video, or an archive.
+    /// Not unpacked: a video or an archive.
     Listed,
 }
 
@@ -177,8 +178,8 @@ struct Totals {
 }
 
 impl Totals {
-    /// Whether an entry is unpacked. Limits hold for those that are: one that is not used, or may
-    /// not be, is never touched, whatever it would become.
+    /// Whether an entry is unpacked. The limits apply only to entries that are unpacked: an unused
+    /// or disallowed entry is never touched, whatever its size.
     fn admits<R: Read>(
         &mut self,
         name: &str,
@@ -218,9 +219,9 @@ impl Totals {
     }
 }
 
-/// Holds every entry against the rules and gives those that play a role.
-fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, ArchiveFault> {
-    let whole = |error: ZipError| ArchiveFault::whole(told(&error));
+/// Checks every entry against the rules and returns those with a role.
+fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Selected>, ArchiveFault> {
+    let whole = |error: ZipError| ArchiveFault::whole(in_words(&error));
     if archive.len() > MAX_FILES {
         return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
     }
@@ -244,21 +245,21 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
         if !is_unpacked && role == Role::Metadata {
             continue;
         }
-        // Only these names are shown and stored, unlike `Icon\r` of macOS.
+        // Only these names are shown and stored, unlike macOS's `Icon\r`.
         if !is_plain(&name) {
             let shown = name.escape_debug().to_string();
             return Err(ArchiveFault::of(&shown, "a name with control characters"));
         }
-        wanted.push(Wanted { index, name, size, is_unpacked, role });
+        wanted.push(Selected { index, name, size, is_unpacked, role });
     }
     totals.check(length)?;
-    // Photographs are asked for by their number: what is also looked at does not change it.
+    // Photographs are requested by number; files unpacked for inspection must not change it.
     wanted.sort_by_key(|item| item.role == Role::Metadata);
     Ok(wanted)
 }
 
-/// The name of an entry, with `/` for the backslashes that old Windows packers write. In a code
-/// page of East Asia a backslash may be the second byte of a character.
+/// The name of an entry, with `/` for the backslashes of old Windows packers. In an East Asian code
+/// page a backslash may be the second byte of a character.
 fn name_of<R: Read>(entry: &ZipFile<'_, R>) -> Result<String, ZipError> {
     if let Ok(name) = str::from_utf8(entry.name_raw()) {
         return Ok(name.replace('\\', "/"));
@@ -294,9 +295,9 @@ fn check_name(name: &str) -> Result<(), ArchiveFault> {
     Ok(())
 }
 
-/// Whether an entry is a file or a folder and no archive, used or not.
+/// Whether an entry is a file or a folder and not an archive, used or not.
 fn check_kind<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), ArchiveFault> {
-    // The upper bits of a Unix mode are the kind: 0 where the packer did not say.
+    // The upper bits of a Unix mode are the file type: 0 where the packer did not set it.
     let kind = entry.unix_mode().unwrap_or(0) & 0o170_000;
     if entry.is_symlink() || !matches!(kind, 0 | 0o100_000 | 0o040_000) {
         return Err(ArchiveFault::of(name, "a link or special file"));
@@ -341,7 +342,7 @@ fn role(name: &str) -> Option<Role> {
         () if POSE_FILES.contains(&&*last.to_ascii_lowercase()) || hold(last).is_some() => {
             Role::Known
         }
-        // It may be taken for a photograph.
+        // The user may take it for a photograph.
         () if is_video(path) || Unread::named(path).is_some() => Role::Listed,
         () if heads::is_recognisable(name) => Role::Metadata,
         () => return None,
@@ -350,7 +351,7 @@ fn role(name: &str) -> Option<Role> {
 
 fn unpack_all(
     archive: &mut ZipArchive<File>,
-    wanted: Vec<Wanted>,
+    wanted: Vec<Selected>,
     target: &Path,
 ) -> Result<Vec<Entry>, CaptureError> {
     fs::create_dir_all(target).map_err(CaptureError::io(target))?;
@@ -366,15 +367,15 @@ fn unpack_all(
         }
         let mut source = archive
             .by_index(item.index)
-            .map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
+            .map_err(|error| ArchiveFault::of(&item.name, in_words(&error)))?;
         unpack_one(&mut source, &item, &file)?;
         entries.push(entry);
     }
     Ok(entries)
 }
 
-/// Where an entry is put: a number and its known extension, or a pose file's known name in a
-/// folder that is numbered after its own.
+/// The destination of an entry: a number and its known extension, or a pose file's known name in a
+/// folder numbered after the entry's folder.
 fn own_file(
     target: &Path,
     name: &str,
@@ -384,7 +385,7 @@ fn own_file(
     let (folder, last) = name.rsplit_once('/').unwrap_or(("", name));
     let last = last.to_ascii_lowercase();
     if !POSE_FILES.contains(&last.as_str()) {
-        // Known from a list of extensions: short, letters and digits.
+        // From a list of extensions: short, letters and digits only.
         let extension = last.rsplit_once('.').map_or("", |(_, extension)| extension);
         return Ok(target.join(format!("{number:05}.{extension}")));
     }
@@ -394,20 +395,21 @@ fn own_file(
     });
     let own_folder = target.join(format!("poses{position}"));
     fs::create_dir_all(&own_folder).map_err(CaptureError::io(&own_folder))?;
-    // COLMAP wants its points under exactly this name.
+    // COLMAP requires exactly this name for its points.
     Ok(own_folder.join(last.replace("points3d", "points3D")))
 }
 
 /// Unpacks one entry into a new file.
-fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), CaptureError> {
+fn unpack_one(source: &mut impl Read, item: &Selected, file: &Path) -> Result<(), CaptureError> {
     let mut out = File::create_new(file).map_err(CaptureError::io(file))?;
     copy_one(source, item, &mut out, file)
 }
 
-/// Copies one entry to `out`, no more than its directory promised; `place` stands in errors.
+/// Copies one entry to `out`, at most as many bytes as its directory declares; `place` appears in
+/// errors.
 fn copy_one(
     source: &mut impl Read,
-    item: &Wanted,
+    item: &Selected,
     out: &mut impl Write,
     place: &Path,
 ) -> Result<(), CaptureError> {
@@ -440,7 +442,7 @@ fn damaged(error: &io::Error) -> String {
     format!("damaged or cut short; its reader says: {error}")
 }
 
-fn told(error: &ZipError) -> String {
+fn in_words(error: &ZipError) -> String {
     match error {
         ZipError::Io(error) => damaged(error),
         ZipError::UnsupportedArchive(what) => format!("a kind of zip that is not read: {what}"),

@@ -1,4 +1,4 @@
-//! What can be used, and what the user should know about it.
+//! Assesses which photographs can be used and what to warn the user about.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::io;
@@ -9,7 +9,7 @@ use crate::photo_path::PhotoPath;
 
 use super::entries::Entry;
 use super::layout::Layout;
-use super::look::{Eyes, Fault, Seen};
+use super::look::{Assessor, Fault, Seen};
 use super::masked;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::pose_files;
@@ -17,25 +17,25 @@ use super::prepared::{Preparation, PreparedImage};
 use super::twins;
 use super::watch::Watch;
 
-/// Below this many a capture is accepted with a warning.
+/// A capture with fewer photographs is accepted with a warning.
 pub const FEW_VIEWS: usize = 12;
 
 /// Why a video beside photographs is not used.
 const UNUSED_VIDEO: &str = "a video; one that is given by itself is taken apart into photographs";
 
-/// Longest of our own names.
+/// Maximum length of our own names.
 const LONGEST_NAME: usize = 40;
 
 /// The outcome for the whole capture.
 pub(super) struct Assessed {
     pub(super) views: Vec<CaptureView>,
-    /// All paths but second files of one exposure, whose poses are those of the first.
+    /// All paths except second files of one exposure, which share the poses of the first.
     pub(super) photographs: Vec<PhotoPath>,
     pub(super) assessments: Vec<Assessment>,
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
-/// Assesses every photograph, then the capture; prepares the images if that is asked for.
+/// Assesses every photograph, then the capture; prepares the images if requested.
 ///
 /// # Errors
 /// A failure to write a prepared image.
@@ -46,9 +46,9 @@ pub(super) fn assess(
 ) -> io::Result<Assessed> {
     let truths = layout.ground_truth.values();
     let others = truths.chain(layout.masks.entries());
-    let eyes = Eyes::open(watch, preparation, layout.photographs.iter().chain(others));
-    let seen = eyes.look_at_all(&layout.photographs);
-    let masked = masked::look_at_masks(&layout.photographs, &seen, &layout.masks, &eyes);
+    let assessor = Assessor::open(watch, preparation, layout.photographs.iter().chain(others));
+    let seen = assessor.look_at_all(&layout.photographs);
+    let masked = masked::look_at_masks(&layout.photographs, &seen, &layout.masks, &assessor);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
     let mut assessed = Assessed {
         views: Vec::new(),
@@ -105,13 +105,13 @@ pub(super) fn assess(
     assessed.assessments.extend(layout.unused.iter().map(unused));
     let of_masks = masked::warnings(&assessed.views, &masked);
     assessed.warnings.extend(of_masks);
-    assessed.attach_ground_truth(&layout.ground_truth, &eyes);
+    assessed.attach_ground_truth(&layout.ground_truth, &assessor);
     assessed.warn_of_the_whole();
-    eyes.into_failure().map_or(Ok(assessed), Err)
+    assessor.into_failure().map_or(Ok(assessed), Err)
 }
 
-/// The photographs whose picture another one has, too, with that one: of equal pictures the one of
-/// the shortest path is kept, as copies are called `a (1)` and `a copy`.
+/// The photographs whose picture another one also has, each with that one. Of equal pictures the
+/// one with the shortest path is kept, as copies are called `a (1)` and `a copy`.
 fn copies(layout: &Layout, seen: &[Result<Seen, Fault>]) -> HashMap<usize, usize> {
     let length = |at: usize| layout.photographs[at].name().as_str().len();
     let mut originals: HashMap<[u8; 32], usize> = HashMap::new();
@@ -127,7 +127,7 @@ fn copies(layout: &Layout, seen: &[Result<Seen, Fault>]) -> HashMap<usize, usize
     copies.filter(|(at, original)| at != original).collect()
 }
 
-/// The second files of exposures, each with the one that is used.
+/// The second files of exposures, each with the file that is used.
 fn twins(
     layout: &Layout,
     seen: &[Result<Seen, Fault>],
@@ -173,13 +173,17 @@ impl Assessed {
         });
     }
 
-    /// Gives each view its ground truth, where that has the view's shape.
-    fn attach_ground_truth(&mut self, ground_truth: &HashMap<PhotoPath, Entry>, eyes: &Eyes<'_>) {
+    /// Attaches ground truth to each view whose shape it has.
+    fn attach_ground_truth(
+        &mut self,
+        ground_truth: &HashMap<PhotoPath, Entry>,
+        assessor: &Assessor<'_>,
+    ) {
         if ground_truth.is_empty() {
             return;
         }
         let find = |view: &CaptureView| ground_truth.get(&view.path);
-        let found = eyes.truths(&self.views, find);
+        let found = assessor.truths(&self.views, find);
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
         for (view, found) in self.views.iter_mut().zip(found) {
             match found {
@@ -228,24 +232,24 @@ impl Assessed {
     }
 }
 
-/// Our own names for the accepted photographs of these names, in the order of their assessments.
+/// Our own names for the accepted photographs with these names, in the order of their assessments.
 pub fn view_names<'a>(accepted: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut names = Names::default();
     accepted.map(|name| names.own(PhotoPath::new(name).stem())).collect()
 }
 
-/// The names given so far, in lower case.
+/// The names assigned so far, in lower case.
 #[derive(Default)]
 struct Names {
     taken: HashSet<String>,
-    /// The last number behind a name. It only grows, so that thousands of equal names cost no more
-    /// than different ones.
+    /// The last number appended to each name. It only grows, so thousands of equal names cost no
+    /// more than different ones.
     numbers: HashMap<String, u32>,
 }
 
 impl Names {
-    /// Our own name for a view: the path with everything else than letters, digits, `-` and `_`
-    /// replaced, never empty, never starting like an option, unique also where case is ignored.
+    /// Our own name for a view: the path with all characters except letters, digits, `-` and `_`
+    /// replaced, never empty, never starting like an option, unique even ignoring case.
     fn own(&mut self, stem: &str) -> String {
         let safe = |c: char| {
             if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') { c } else { '_' }
@@ -291,7 +295,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn any_names_become_safe_and_different(stems in prop::collection::vec(".{0,60}", 1..20)) {
+        fn any_names_become_safe_and_distinct(stems in prop::collection::vec(".{0,60}", 1..20)) {
             let mut names = Names::default();
             for stem in &stems {
                 let name = names.own(stem);

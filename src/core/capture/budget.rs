@@ -1,13 +1,12 @@
-//! A bound on the memory that photographs take while they are decoded.
+//! Limits the memory used for decoding photographs.
 
 use std::sync::{Condvar, Mutex, PoisonError};
 
-/// What a budget is without being told: a photograph of the largest cameras, or several of usual
-/// size. Bytes.
+/// Default budget: one photograph from the largest cameras, or several of usual size. Bytes.
 const DEFAULT_BYTES: u64 = 1 << 30;
 
-/// Bytes that may be decoded at a time, by all who share it. Who asks first is served first, so
-/// that a large photograph is not passed by small ones for ever.
+/// Bytes that may be decoded at a time, shared by all threads. Requests are served in order, so a
+/// large photograph is not overtaken by small ones for ever.
 #[derive(Debug)]
 pub struct DecodeBudget {
     bytes: u64,
@@ -22,7 +21,7 @@ struct State {
     served: u64,
 }
 
-/// A part of the budget, given back when dropped.
+/// A part of the budget, returned when dropped.
 #[derive(Debug)]
 pub(super) struct Share<'a> {
     budget: &'a DecodeBudget,
@@ -36,12 +35,12 @@ impl Default for DecodeBudget {
 }
 
 impl DecodeBudget {
-    /// Of so many bytes. What alone needs more is decoded alone.
+    /// A budget in bytes. A request that exceeds it is decoded alone.
     pub fn new(bytes: u64) -> Self {
         Self { bytes, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// Waits until so many bytes are free.
+    /// Waits until this many bytes are free.
     pub(super) fn take(&self, bytes: u64) -> Share<'_> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         let ticket = state.next_ticket;
@@ -77,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_decoded_at_a_time_stays_within_the_budget() {
+    fn concurrent_decoding_stays_within_the_budget() {
         let budget = DecodeBudget::new(100);
         let (used, most) = (AtomicU64::new(0), AtomicU64::new(0));
         thread::scope(|scope| {
@@ -100,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_larger_than_the_budget_is_decoded_alone() {
+    fn a_request_above_the_budget_is_decoded_alone() {
         let budget = DecodeBudget::new(100);
         let huge = budget.take(1000);
         thread::scope(|scope| {

@@ -1,4 +1,4 @@
-//! The files of a capture, by the path that the user knows them under.
+//! The files of a capture, under the paths that the user knows.
 
 use std::cmp::Ordering;
 use std::collections::{HashMap, HashSet};
@@ -10,20 +10,20 @@ use crate::photo_path::{PhotoPath, decoded};
 
 use super::error::{CaptureError, MAX_FILES};
 
-/// Folders within folders that are looked through: more than anybody has, and an end where a link
-/// leads back.
+/// Maximum depth of folders: more than any capture has, and a stop for links that form a loop.
 const MAX_DEPTH: usize = 12;
 
 /// One file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
-    /// The path inside the capture as its owner wrote it; only shown and compared.
+    /// The path inside the capture as its owner wrote it; only displayed and compared.
     pub(super) path: PhotoPath,
-    /// Where it lies.
+    /// Where it is stored.
     pub(super) file: PathBuf,
-    /// Its number among those of the same path, from 1: browsers of phones call all `image.jpg`.
+    /// Its number among files with the same path, from 1: phone browsers name every file
+    /// `image.jpg`.
     pub(super) number: usize,
-    /// Its bytes, where a zip has a larger photograph than are read, which is not unpacked.
+    /// Its size in bytes, if it is a zipped photograph over the size limit, which is not unpacked.
     pub(super) too_large: Option<u64>,
 }
 
@@ -41,13 +41,13 @@ impl Entry {
     }
 }
 
-/// `a/image-2.jpg` of `a/image.jpg`.
+/// `a/image-2.jpg` for `a/image.jpg`.
 fn numbered(path: &PhotoPath, number: usize) -> PhotoPath {
     let stem = path.stem();
     PhotoPath::new(&format!("{stem}-{number}{}", &path.as_str()[stem.len()..]))
 }
 
-/// Numbers the files of equal paths, in the order of the names under which they are stored.
+/// Numbers the files with equal paths, in the order of their stored names.
 fn number(entries: &mut [Entry]) {
     let stored = |entry: &Entry| (entry.file.as_os_str().len(), entry.file.clone());
     entries.sort_by(|a, b| a.path.cmp(&b.path).then_with(|| stored(a).cmp(&stored(b))));
@@ -63,11 +63,11 @@ fn number(entries: &mut [Entry]) {
     }
 }
 
-/// The file of a folder that tells what its owner calls the files in it, where it does not say so
-/// itself: an object from places to paths.
+/// A file that maps stored paths to the owner's names for the files of a folder, where the stored
+/// names differ: a JSON object.
 pub const NAMES: &str = ".names.json";
 
-/// The files of a folder, hidden ones left out.
+/// The files of a folder, except hidden ones.
 pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
     let mut entries = Vec::new();
     walk(root, "", 0, &mut entries)?;
@@ -100,8 +100,8 @@ fn walk(
             continue;
         }
         let (path, file) = (format!("{prefix}{name}"), item.path());
-        // Links are followed: the folder is the operator's own. A photograph's that leads nowhere
-        // is one that cannot be read.
+        // Links are followed: the folder is the operator's own. A dangling link to a photograph is
+        // an unreadable photograph.
         let Ok(metadata) = file.metadata() else {
             if named_like_a_photograph(Path::new(&name)) {
                 found.push((path, file));
@@ -120,18 +120,18 @@ fn walk(
     Ok(())
 }
 
-/// Traces that systems leave among files: macOS's packer, Windows and Synology.
+/// Files that systems leave behind: macOS's packer, Windows and Synology.
 const TRACES: [&str; 5] = ["__macosx", "thumbs.db", "$recycle.bin", "@eadir", "#recycle"];
 
-/// Whether a name is hidden or a trace of a system. A file that iCloud has not loaded is neither.
+/// Whether a name is hidden or left by a system. A file that iCloud has not downloaded is neither.
 pub(super) fn is_hidden(name: &str) -> bool {
     let lower = name.to_ascii_lowercase();
     let has_dot = name.starts_with('.') && name != ".";
     has_dot && !lower.ends_with(".icloud") || TRACES.contains(&&*lower)
 }
 
-/// Names in the order that people expect: `img2` before `img10`, case ignored. Total: names that
-/// compare equal so are ordered by their bytes.
+/// Natural order of names: `img2` before `img10`, ignoring case. Total: names that compare equal
+/// this way are ordered by their bytes.
 pub(super) fn natural(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     while !left.is_empty() && !right.is_empty() {

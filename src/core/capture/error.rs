@@ -8,13 +8,13 @@ use crate::image::Unread;
 use crate::poses::LeftOut;
 use crate::poses::left_out::in_words as in_words_of;
 
-/// Most files of a capture that are looked at.
+/// Maximum number of files in a capture.
 pub const MAX_FILES: usize = 20_000;
 
-/// Fewer usable photographs than this are refused: two fix no scene.
+/// Captures with fewer usable photographs are refused: two do not determine a scene.
 pub const MIN_VIEWS: usize = 3;
 
-/// Why a capture cannot be worked on.
+/// Why a capture cannot be processed.
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The path is neither a folder nor a zip.
@@ -23,7 +23,7 @@ pub enum CaptureError {
         /// The path.
         path: PathBuf,
     },
-    /// The path is a file of a format that is known and not read.
+    /// The path is a file in a known but unsupported format.
     #[error("{}: {format}", path.display())]
     Unread {
         /// The path.
@@ -34,50 +34,50 @@ pub enum CaptureError {
     /// The zip is refused.
     #[error("the zip is refused: {0}")]
     Archive(#[from] ArchiveFault),
-    /// There are more files than are taken.
+    /// There are more files than the limit.
     #[error("more than {MAX_FILES} files")]
     TooManyFiles,
-    /// There is no photograph where one is looked for.
+    /// No photograph was found.
     #[error("{}", none(seen, video.as_deref(), result.as_deref()))]
     NoPhotographs {
-        /// Folders of pictures that are made of photographs, with how many each has.
+        /// Folders of pictures derived from photographs, each with its count.
         seen: Vec<(String, usize)>,
         /// A video.
         video: Option<String>,
-        /// The folder of a result of fled, whose pictures are none.
+        /// The folder of a fled result, whose pictures are not photographs.
         result: Option<String>,
     },
-    /// Photographs lie in several folders that are not called parts of one scene.
+    /// Photographs are in several folders whose names do not make them parts of one scene.
     #[error("photographs lie in several places: {}", in_words(seen))]
     Scattered {
-        /// The folders, with how many each has.
+        /// The folders, each with its count.
         seen: Vec<(String, usize)>,
     },
-    /// Too few photographs can be used.
+    /// Too few photographs are usable.
     #[error("{}", too_few(*accepted, assessments))]
     TooFew {
-        /// How many can be used.
+        /// Number of usable photographs.
         accepted: usize,
-        /// What became of each file.
+        /// The outcome for each file.
         assessments: Vec<Assessment>,
     },
     /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// What it said.
+        /// The cause.
         source: std::io::Error,
     },
 }
 
 impl CaptureError {
-    /// Whether the machine is at fault, not the capture.
+    /// Whether the machine is at fault rather than the capture.
     pub fn is_of_the_machine(&self) -> bool {
         matches!(self, Self::Io { source, .. } if source.kind() != std::io::ErrorKind::NotFound)
     }
 
-    /// What to do about it.
+    /// A remedy for the user.
     pub fn hint(&self) -> &'static str {
         match self {
             Self::NotACapture { .. } | Self::Unread { .. } => {
@@ -112,7 +112,7 @@ impl CaptureError {
     }
 }
 
-/// The sentence of [`CaptureError::NoPhotographs`].
+/// The message of [`CaptureError::NoPhotographs`].
 fn none(seen: &[(String, usize)], video: Option<&str>, result: Option<&str>) -> String {
     let mut text = "there is no photograph, in images/ or elsewhere".to_owned();
     if !seen.is_empty() {
@@ -128,7 +128,7 @@ fn none(seen: &[(String, usize)], video: Option<&str>, result: Option<&str>) -> 
     text
 }
 
-/// The sentence of [`CaptureError::TooFew`], with the reasons.
+/// The message of [`CaptureError::TooFew`], with the reasons.
 fn too_few(accepted: usize, assessments: &[Assessment]) -> String {
     let mut text = format!(
         "{accepted} of {} photographs can be used, at least {MIN_VIEWS} are needed",
@@ -143,13 +143,13 @@ fn too_few(accepted: usize, assessments: &[Assessment]) -> String {
     text
 }
 
-/// Why an archive is refused, and the entry at fault where there is one.
+/// Why an archive is refused, with the entry at fault if there is one.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}{reason}", entry.as_ref().map(|name| format!("{name:?}: ")).unwrap_or_default())]
 pub struct ArchiveFault {
-    /// The entry's name as packed.
+    /// The entry's name in the archive.
     pub entry: Option<String>,
-    /// What is wrong.
+    /// The reason.
     pub reason: String,
 }
 

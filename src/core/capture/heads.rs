@@ -1,4 +1,4 @@
-//! Recognises files beside photographs by their content, because users choose their names.
+//! Recognises files beside photographs by their content, because users choose the names.
 
 use std::fs::File;
 use std::io::Read;
@@ -6,25 +6,25 @@ use std::path::Path;
 
 use super::entries::Entry;
 
-/// Bytes read of each file: lists of names may precede the first pose.
+/// Bytes read from each file: lists of names may precede the first pose.
 const HEAD_BYTES: u64 = 1 << 20;
 
-/// Extensions of files whose content is read.
+/// Extensions of the files whose content is read.
 const EXTENSIONS: [&str; 8] = ["json", "xml", "xmp", "csv", "txt", "out", "nvm", "sfm"];
 
-/// Files that fled writes at the top of a result, and words in them: of a run, also of one that is
-/// shown by `make demo`, and of an evaluation.
+/// Files that fled writes at the top of a result, with words they contain: for a run, including one
+/// shown by `make demo`, and for an evaluation.
 const RESULTS: [(&str, &[&str]); 3] = [
     ("config.json", &["\"pose_source\"", "\"lut_scope\"", "\"deblur\""]),
     ("metrics.json", &["\"best_round\"", "\"gaussians\"", "\"registered\""]),
     ("evaluation.json", &["\"training_views\"", "\"tied_views\"", "\"camera_error\""]),
 ];
 
-/// Words of NeRF's `transforms.json`.
+/// Words in NeRF's `transforms.json`.
 const TRANSFORMS: [&str; 2] = ["\"frames\"", "\"transform_matrix\""];
 
-/// Programs whose poses are not read, and words that all of their files have, in lower case. The
-/// first row that fits counts.
+/// Programs whose poses are unsupported, with words that all their files contain, in lower case.
+/// The first matching row counts.
 const FOREIGN: [(&str, &[&str]); 22] = [
     ("Metashape", &["<document", "<chunk", "<sensor"]),
     ("Metashape", &["#label,x/"]),
@@ -53,7 +53,7 @@ const FOREIGN: [(&str, &[&str]); 22] = [
     ),
 ];
 
-/// Files recognised by their paths alone: parts of the path, and the programs that write them.
+/// Files recognised by path alone: parts of the path, and the programs that write them.
 const FOREIGN_NAMES: [(&str, &str); 4] = [
     (".rcproj", "RealityScan"),
     ("/cameras_sphere.npz", "IDR and NeuS"),
@@ -64,11 +64,11 @@ const FOREIGN_NAMES: [(&str, &str); 4] = [
 /// The kind of a recognised file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Recognised {
-    /// At the top of a result of fled.
+    /// A file at the top of a fled result.
     Result,
-    /// NeRF's poses, whatever the file is called.
+    /// NeRF poses, whatever the file's name.
     Transforms,
-    /// Poses in the format of this program, which is not read.
+    /// Poses in the unsupported format of this program.
     Foreign(&'static str),
 }
 
@@ -78,7 +78,7 @@ pub(super) fn is_recognisable(name: &str) -> bool {
     extension.is_some_and(|own| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(own)))
 }
 
-/// The kind of a file that is not a picture, if it is recognised.
+/// The kind of a non-picture file, if it is recognised.
 pub(super) fn recognise(entry: &Entry) -> Option<Recognised> {
     let path = format!("/{}", entry.path.as_str().to_ascii_lowercase());
     let by_name = || { FOREIGN_NAMES.iter() }.find(|(part, _)| path.contains(part));
@@ -99,11 +99,11 @@ pub(super) fn recognise(entry: &Entry) -> Option<Recognised> {
     foreign.map(|(program, _)| Recognised::Foreign(program)).or_else(by_name)
 }
 
-/// The beginning of a text, in lower case; nothing of another file.
+/// The beginning of a text file, in lower case; `None` for other files.
 fn head(file: &Path) -> Option<String> {
     let mut bytes = Vec::new();
     File::open(file).ok()?.take(HEAD_BYTES).read_to_end(&mut bytes).ok()?;
-    // Windows writes XML and text in UTF-16, too.
+    // Windows also writes XML and text in UTF-16.
     let text = match &bytes[..] {
         [0xff, 0xfe, rest @ ..] => utf16(rest, u16::from_le_bytes),
         [0xfe, 0xff, rest @ ..] => utf16(rest, u16::from_be_bytes),

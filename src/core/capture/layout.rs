@@ -1,4 +1,4 @@
-//! Which file of a capture is what.
+//! Determines the role of each file of a capture.
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs::File;
@@ -20,10 +20,10 @@ use super::place::{self, Place};
 use super::pose_files;
 use super::video::is_video;
 
-/// Folders that mean something; none of them is a wrapper around the capture.
+/// Folders with a meaning; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
 
-/// Files other than photographs and `hold=N` that mean something.
+/// Files with a meaning, other than photographs and `hold=N`.
 pub(super) const POSE_FILES: [&str; 11] = [
     "cameras.txt",
     "images.txt",
@@ -38,7 +38,7 @@ pub(super) const POSE_FILES: [&str; 11] = [
     "poses_bounds.npy",
 ];
 
-/// Poses that came with the capture, by the format of their file.
+/// Poses included in the capture, by file format.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GivenPosesFile {
@@ -62,23 +62,23 @@ impl GivenPosesFile {
 /// A capture's files by their role.
 #[derive(Debug)]
 pub(super) struct Layout {
-    /// Files that claim to be photographs, in natural order, with their paths below `folder`.
+    /// Files that claim to be photographs, in natural order, with paths relative to `folder`.
     pub(super) photographs: Vec<Entry>,
-    /// The folder of the photographs; empty where it is the capture's own.
+    /// The folder of the photographs; empty for the capture's root.
     folder: String,
-    /// Videos and files of formats that are not read beside them: listed, not used.
+    /// Videos and files in unsupported formats beside them: listed, not used.
     pub(super) unused: Vec<Entry>,
-    /// Ground truth by its photograph; empty when there is none.
+    /// Ground truth by photograph; empty if there is none.
     pub(super) ground_truth: HashMap<PhotoPath, Entry>,
-    /// Masks by their photograph.
+    /// Masks by photograph.
     pub(super) masks: Masks,
     /// Poses.
     pub(super) poses: Option<GivenPosesFile>,
-    /// The files that hold the poses, for the fingerprint.
+    /// The pose files, for the fingerprint.
     pose_files: Vec<Entry>,
-    /// Every how many-th photograph the capture itself holds out.
+    /// The capture itself holds out every n-th photograph.
     pub(super) hold: Option<u32>,
-    /// Pictures that are not read, and which poses are.
+    /// Which pictures are not read, and which poses are.
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
@@ -89,7 +89,7 @@ impl Layout {
         let (pictures, others): (Vec<_>, Vec<_>) =
             entries.into_iter().partition(claims_to_be_a_photograph);
         let Beside { pictures, others, foreign_poses, result } = Beside::of(pictures, others);
-        // Files without a role may lie anywhere.
+        // Files without a role may be anywhere.
         let count = pictures.len();
         let mut entries: Vec<Entry> = pictures.into_iter().chain(others).collect();
         strip_wrappers(&mut entries);
@@ -142,7 +142,7 @@ impl Layout {
         })
     }
 
-    /// blake3 over the names and contents of everything that plays a role.
+    /// blake3 of the names and contents of everything with a role.
     pub(super) fn fingerprint(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
         let mut truth: Vec<&Entry> = self.ground_truth.values().collect();
@@ -155,13 +155,13 @@ impl Layout {
         for (path, entry) in photographs.chain(others) {
             let mut content = blake3::Hasher::new();
             let file = File::open(&entry.file);
-            // A link that leads nowhere is listed as a photograph that cannot be read.
+            // A dangling link is listed as an unreadable photograph.
             if let Err(error) = file.and_then(|file| content.update_reader(file).map(drop))
                 && error.kind() != ErrorKind::NotFound
             {
                 return Err(CaptureError::io(&entry.file)(error));
             }
-            // The length keeps a name and what follows it apart.
+            // The length separates a name from the content that follows it.
             hasher.update(&(path.as_str().len() as u64).to_le_bytes());
             hasher.update(path.as_str().as_bytes());
             hasher.update(content.finalize().as_bytes());
@@ -173,22 +173,22 @@ impl Layout {
     }
 }
 
-/// How the name of the file begins that says it, as the sets of Deblur-NeRF and ExBluRF have it.
+/// Prefix of the file name that sets it, as in the Deblur-NeRF and ExBluRF sets.
 const HOLD: &str = "hold=";
 
-/// What an entry says about which photographs are held out: every n-th, from the first. Nothing is
-/// left to train on below 2.
+/// The hold-out interval that an entry specifies: every n-th photograph, from the first. Below 2
+/// nothing is left to train on.
 pub(super) fn hold(path: &str) -> Option<u32> {
     let number = path.strip_prefix(HOLD)?.parse().ok()?;
     (number >= 2).then_some(number)
 }
 
-/// A capture's files without those of results of fled, which may lie among them.
+/// A capture's files without those of fled results, which may be among them.
 struct Beside {
     pictures: Vec<Entry>,
-    /// Those that mean something.
+    /// Files with a meaning.
     others: Vec<Entry>,
-    /// Poses in formats that are not read, with the programs that write them.
+    /// Poses in unsupported formats, with the programs that write them.
     foreign_poses: Vec<(Entry, &'static str)>,
     /// The folder of one of the results.
     result: Option<String>,
@@ -205,7 +205,7 @@ impl Beside {
         };
         let results: Vec<String> = recognised.iter().filter_map(is_result).collect();
         let is_within = |entry: &Entry| results.iter().any(|r| entry.path.below(r).is_some());
-        // A run may leave its result where the photographs are.
+        // A run may write its result where the photographs are.
         let are_all_within = pictures.iter().all(is_within);
         let is_left = |entry: &Entry| {
             let mut names = results.iter().filter_map(|result| entry.path.below(result));
@@ -233,34 +233,34 @@ impl Beside {
     }
 }
 
-/// Whether a file that is no picture means something by its name.
+/// Whether the name of a non-picture file has a meaning.
 fn is_known(entry: &Entry) -> bool {
     let is_poses = POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase());
     is_poses || is_unused(entry) || hold(entry.path.as_str()).is_some()
 }
 
-/// Whether one of these files holds poses by the names of their photographs.
+/// Whether one of these files lists poses by photograph name.
 fn names_photographs(entry: &Entry) -> bool {
     let is_other = is_unused(entry) || hold(entry.path.as_str()).is_some();
     !is_other && !entry.path.name().eq_ignore_ascii_case("poses_bounds.npy")
 }
 
-/// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
-/// without one where its bytes are a picture's.
+/// Whether a file is listed among the photographs, accepted or not: by its extension, or without
+/// one if its bytes are a picture's.
 fn claims_to_be_a_photograph(entry: &Entry) -> bool {
     let path = Path::new(entry.path.name());
     named_like_a_photograph(path)
         || (path.extension().is_none() && crate::image::read_header(&entry.file).is_ok())
 }
 
-/// Whether a file is a video or of a format that is not read, which its owner may take for a
+/// Whether a file is a video or in an unsupported format, which its owner may take for a
 /// photograph.
 fn is_unused(entry: &Entry) -> bool {
     is_video(&entry.file) || Unread::named(Path::new(entry.path.name())).is_some()
 }
 
-/// Where the photographs are. Where there are none but files of a format that is not read, the
-/// error names one of these.
+/// Where the photographs are. If there are only files in an unsupported format, the error names one
+/// of them.
 fn place_of(
     pictures: Vec<Entry>,
     poses: &[&Entry],
@@ -279,7 +279,7 @@ fn place_of(
     })
 }
 
-/// Removes folders that are around everything, such as the one that a zip of a folder has.
+/// Removes wrapper folders, such as the one in a zip of a folder.
 fn strip_wrappers(entries: &mut [Entry]) {
     loop {
         let tops: BTreeSet<Option<&str>> =
@@ -298,7 +298,7 @@ fn strip_wrappers(entries: &mut [Entry]) {
     }
 }
 
-/// Those of `unused` that lie where photographs do, with their paths below `folder`.
+/// The files of `unused` that are beside the photographs, with paths relative to `folder`.
 fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry> {
     let folders: HashSet<&str> = photographs.iter().map(|e| e.path.folder()).collect();
     let below = |entry: Entry| {
@@ -308,14 +308,14 @@ fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry>
     unused.into_iter().filter_map(below).collect()
 }
 
-/// Where a path of ground truth has its folder.
+/// The position of the folder in a ground truth path.
 fn truth_at(path: &PhotoPath) -> usize {
     let is_truth = |part: &str| place::TRUTH.iter().any(|t| part.eq_ignore_ascii_case(t));
     path.as_str().split('/').position(is_truth).unwrap_or(0)
 }
 
-/// Ground truth whose folder lies in one that has photographs, too: trainers write renders and
-/// what they compare them with under numbers of their own.
+/// Ground truth whose parent folder also has photographs: trainers write renders and the references
+/// for them under numbers of their own.
 fn beside_photographs(truth: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry> {
     let is_beside = |entry: &Entry| {
         let parts: Vec<&str> = entry.path.as_str().split('/').collect();
@@ -326,7 +326,7 @@ fn beside_photographs(truth: Vec<Entry>, photographs: &[Entry], folder: &str) ->
     truth.into_iter().filter(is_beside).collect()
 }
 
-/// Sharp pictures by the photographs that they show, whose names they have below their folder.
+/// Sharp pictures by the photographs that they show, whose names they share below their folder.
 fn of_photographs(
     truth: &[Entry],
     photographs: &[Entry],

@@ -1,4 +1,4 @@
-//! What is seen in one photograph.
+//! Looks at one photograph.
 
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
@@ -15,33 +15,33 @@ use super::prepared::{Preparation, PreparedImage};
 use super::twins::Print;
 use super::watch::{Look, Watch};
 
-/// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
+/// Long side at which photographs are assessed, px: decoding dominates, so this is enough.
 const ASSESSED_SIDE: usize = 320;
 
-/// Photographs decoded at a time. Each holds its full size in 8 or 16 bit; the budget bounds what
-/// that comes to.
+/// Photographs decoded at a time. Each takes its full size in 8 or 16 bit; the budget limits the
+/// total.
 const DECODED_AT_ONCE: usize = 2;
 
-/// Smallest side of a photograph: below it COLMAP finds hardly a feature.
+/// Smallest side of a photograph: below it COLMAP finds hardly any features.
 const SMALLEST_SIDE: usize = 64;
 
-/// A mean V below this share of white, sRGB, leaves a few grey levels of an 8-bit file.
+/// A mean V below this share of white, sRGB, leaves only a few grey levels in an 8-bit file.
 const DARK_MEAN_V: f32 = 0.02;
 
-/// A photograph this much less sharp than the capture's middle one is called blurred.
+/// A photograph whose sharpness is below this share of the capture's median is reported as blurred.
 const BLURRED_SHARE: f32 = 0.35;
-/// What was seen in one photograph.
+/// Measurements of one photograph.
 pub(super) struct Seen {
     pub(super) header: Header,
-    /// blake3 of the small picture: equal pictures are equal whatever wraps them.
+    /// blake3 of the small picture: equal pictures have equal hashes in any file format.
     pub(super) picture: [u8; 32],
-    /// The same to compare with others.
+    /// The same picture, to compare with others.
     pub(super) print: Print,
     /// Mean V, sRGB, 0 to 1.
     pub(super) mean_v: f32,
     /// Gradient energy relative to brightness: comparable within one capture only.
     pub(super) sharpness: f32,
-    /// What the pipeline reads, if the capture is prepared.
+    /// The image that the pipeline reads, if the capture is prepared.
     pub(super) prepared: Option<PreparedImage>,
 }
 
@@ -88,7 +88,7 @@ impl From<ImageError> for Fault {
 }
 
 /// What looks at the photographs of one capture.
-pub(super) struct Eyes<'a> {
+pub(super) struct Assessor<'a> {
     budget: DecodeBudget,
     tell: &'a (dyn Fn(Look<'_>) + Sync),
     preparation: Option<&'a Preparation>,
@@ -96,8 +96,8 @@ pub(super) struct Eyes<'a> {
     failure: Mutex<Option<io::Error>>,
 }
 
-impl<'a> Eyes<'a> {
-    /// Asks for the memory that the largest of `all` take.
+impl<'a> Assessor<'a> {
+    /// Requests the memory for the largest photographs of `all`.
     pub(super) fn open<'b>(
         watch: &Watch<'a>,
         preparation: Option<&'a Preparation>,
@@ -127,8 +127,8 @@ impl<'a> Eyes<'a> {
         watched(self.tell, entry, || read_header(&entry.file))
     }
 
-    /// Does work that decodes a picture, once there is memory for it and as much again for a plane
-    /// of it.
+    /// Runs work that decodes a picture, once there is memory for it and the same again for one
+    /// plane.
     pub(super) fn decoding<T>(
         &self,
         entry: &Entry,
@@ -140,7 +140,7 @@ impl<'a> Eyes<'a> {
         watched(self.tell, entry, work)
     }
 
-    /// The picture, small, once there is memory to decode it, and the prepared one.
+    /// The small picture, once there is memory to decode it, and the prepared one.
     fn small(
         &self,
         entry: &Entry,
@@ -199,8 +199,9 @@ impl<'a> Eyes<'a> {
         Ok(Seen { header, picture, print, mean_v, sharpness, prepared })
     }
 
-    /// Which views have ground truth among `find`'s; prepared where it has a view's proportions,
-    /// within 1 %, and is whole: a broken one must show now, not when the scene is measured.
+    /// The views with ground truth among `find`'s results. It is prepared if its proportions match
+    /// the view's within 1 % and it is intact: a broken file must fail now, not when the scene is
+    /// measured.
     pub(super) fn truths<'b>(
         &self,
         views: &[CaptureView],
@@ -222,7 +223,7 @@ impl<'a> Eyes<'a> {
     }
 }
 
-/// Does the work on a photograph, and tells when it begins and ends.
+/// Runs the work on a photograph and reports its beginning and end.
 fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) -> T {
     let name = entry.name();
     tell(Look::Begins(name.as_str()));
@@ -231,11 +232,11 @@ fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) 
     done
 }
 
-/// Runs parallel work on so few threads that decoded photographs stay within bounds.
+/// Runs parallel work on few enough threads to bound the memory of decoded photographs.
 pub fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
     match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
         Ok(pool) => pool.install(work),
-        // No threads of its own to be had: the shared ones do it.
+        // No dedicated threads available: use the shared ones.
         Err(_) => work(),
     }
 }
@@ -262,7 +263,7 @@ fn sharpness(small: &Image<Srgb>) -> f32 {
 }
 
 impl Seen {
-    /// What the user should know about it, where the capture's middle one is so sharp.
+    /// Warnings about it, given the capture's median sharpness.
     pub(super) fn warnings(&self, typical_sharpness: f32) -> Vec<CaptureWarning> {
         let mut warnings = Vec::new();
         if let Some(transfer) = self.header.hdr {

@@ -1,28 +1,28 @@
-//! Which photographs have masks that can be used, and how much these leave.
+//! Determines which photographs have usable masks, and how much these leave.
 
 use rayon::prelude::*;
 
 use super::entries::Entry;
-use super::look::{Eyes, Fault, Seen, on_few_threads};
+use super::look::{Assessor, Fault, Seen, on_few_threads};
 use super::masks::Masks;
 use super::photograph::{CaptureView, CaptureWarning};
 use crate::image::{Header, ImageError};
 use crate::mask::{Mask, Masking};
 
-/// Long side at which masks are assessed, px: as photographs are.
+/// Long side at which masks are assessed, px: the same as for photographs.
 const ASSESSED_SIDE: usize = 320;
 
-/// Share of the pixels below which nothing is left to use.
+/// Below this share of the pixels nothing useful is left.
 const LEAST_LEFT: f64 = 0.001;
 
 /// The masks of one photograph.
 #[derive(Default)]
 pub(super) struct Masked {
-    /// Those that can be used.
+    /// The usable ones.
     pub(super) masking: Option<Masking>,
-    /// Whether they leave nothing of it.
+    /// Whether they hide the whole photograph.
     hides_all: bool,
-    /// Masks that cannot be used, and why.
+    /// Unusable masks, with the reasons.
     faults: Vec<(String, ImageError)>,
 }
 
@@ -32,7 +32,7 @@ impl Masked {
         self.hides_all.then(|| Fault::of("its mask hides all of it".to_owned()))
     }
 
-    fn of(entry: &Entry, header: &Header, masks: &Masks, eyes: &Eyes<'_>) -> Self {
+    fn of(entry: &Entry, header: &Header, masks: &Masks, assessor: &Assessor<'_>) -> Self {
         let most = header.width.max(header.height).max(ASSESSED_SIDE);
         let small = |side: usize| (side * ASSESSED_SIDE / most).max(1);
         let size = (small(header.width), small(header.height));
@@ -41,7 +41,7 @@ impl Masked {
         let (mut all, mut left) = (none.clone(), Mask::full(size.0, size.1));
         for (mask, picture) in masks.of(&entry.path) {
             let alone = Masking { pictures: vec![picture.clone()], ..none.clone() };
-            match eyes.decoding(mask, || alone.load(size, Clone::clone)) {
+            match assessor.decoding(mask, || alone.load(size, Clone::clone)) {
                 Ok(pixels) => {
                     left = left.and(&pixels);
                     all.pictures.push(picture.clone());
@@ -51,8 +51,8 @@ impl Masked {
         }
         if header.has_alpha {
             let alone = Masking::of(&entry.file);
-            // The photograph has been decoded before.
-            if let Ok(pixels) = eyes.decoding(entry, || alone.load(size, Clone::clone)) {
+            // The photograph has already been decoded.
+            if let Ok(pixels) = assessor.decoding(entry, || alone.load(size, Clone::clone)) {
                 all.alpha = pixels.share() < 1.0;
                 left = left.and(&pixels);
             }
@@ -63,16 +63,16 @@ impl Masked {
     }
 }
 
-/// The masks of each photograph that could be seen.
+/// Looks at the masks of each readable photograph.
 pub(super) fn look_at_masks(
     photographs: &[Entry],
     seen: &[Result<Seen, Fault>],
     masks: &Masks,
-    eyes: &Eyes<'_>,
+    assessor: &Assessor<'_>,
 ) -> Vec<Masked> {
     let all = photographs.par_iter().zip(seen);
     let of = |(entry, seen): (&Entry, &Result<Seen, Fault>)| match seen {
-        Ok(seen) => Masked::of(entry, &seen.header, masks, eyes),
+        Ok(seen) => Masked::of(entry, &seen.header, masks, assessor),
         Err(_) => Masked::default(),
     };
     on_few_threads(|| all.map(of).collect())

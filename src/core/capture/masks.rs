@@ -1,8 +1,8 @@
 //! Finds the masks of a capture and assigns them to photographs.
 //!
-//! A mask lies in a folder `masks/` under the name of its photograph, with another extension
-//! (nerfstudio) or one more (COLMAP), beside it under a name made of its own, or where `mask_path`
-//! of a `transforms.json` says.
+//! A mask has the name of its photograph and is in a folder `masks/` with another extension
+//! (nerfstudio) or an additional one (COLMAP); or it is beside its photograph under a derived name;
+//! or `mask_path` in a `transforms.json` names it.
 
 use std::collections::{BTreeMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -16,21 +16,21 @@ use crate::image::named_like_a_photograph;
 use crate::mask::MaskPicture;
 use crate::photo_path::{PhotoPath, find_each};
 
-/// Folders of masks.
+/// Mask folders.
 const FOLDERS: [&str; 2] = ["masks", "mask"];
 
-/// How the name of a mask beside its photograph begins for instant-ngp, where pixels that are not
-/// black are masked: NVlabs/instant-ngp, issue 176, and `load_nerf` in its `nerf_loader.cu`.
+/// Prefix of a mask beside its photograph in instant-ngp, where non-black pixels are masked:
+/// NVlabs/instant-ngp, issue 176, and `load_nerf` in its `nerf_loader.cu`.
 const DYNAMIC: &str = "dynamic_mask_";
 
-/// How it ends for Metashape and ODM, where black pixels are masked.
+/// Suffix of a mask in Metashape and ODM, where black pixels are masked.
 const END: &str = "_mask";
 
-/// Pictures that are masks, each with the name of its photograph seen from the capture.
+/// Masks, each with the name of its photograph relative to the capture.
 #[derive(Debug, Default)]
 pub(super) struct Found {
     all: Vec<Named>,
-    /// Masks that poses name and that are not there.
+    /// Masks that poses name but that do not exist.
     missing: Vec<PhotoPath>,
 }
 
@@ -42,7 +42,7 @@ struct Named {
     by: By,
 }
 
-/// The evidence that assigns a mask to its photograph, the strongest first.
+/// The evidence that assigns a mask to its photograph, strongest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum By {
     Poses,
@@ -51,7 +51,7 @@ enum By {
     SmallCopy,
 }
 
-/// Masks by their photograph's path.
+/// Masks by photograph path.
 #[derive(Debug, Default)]
 pub(super) struct Masks(BTreeMap<PhotoPath, Vec<(Entry, MaskPicture)>>);
 
@@ -62,16 +62,16 @@ impl Masks {
         masks.map(|(entry, mask)| (entry, mask)).collect()
     }
 
-    /// All of them.
+    /// All masks.
     pub(super) fn entries(&self) -> impl Iterator<Item = &Entry> {
         self.0.values().flatten().map(|(entry, _)| entry)
     }
 }
 
-/// The masks in a folder of photographs by these paths.
+/// The masks in a folder of photographs with these paths.
 ///
 /// # Errors
-/// [`CaptureError`] where the folder cannot be read.
+/// [`CaptureError`] if the folder cannot be read.
 pub fn masks_in(
     folder: &Path,
     photographs: &[PhotoPath],
@@ -85,7 +85,7 @@ pub fn masks_in(
     Ok(masks.0.into_iter().map(|(path, all)| (path, pictures(all))).collect())
 }
 
-/// Whether a picture lies in a folder like `masks_4/`, of masks of a smaller size.
+/// Whether a picture is in a folder like `masks_4/`, which has smaller masks.
 pub(super) fn is_small_copy(entry: &Entry) -> bool {
     entry.path.folder().split('/').any(|part| {
         let part = part.to_ascii_lowercase();
@@ -94,7 +94,7 @@ pub(super) fn is_small_copy(entry: &Entry) -> bool {
     })
 }
 
-/// Finds the masks, and takes those out of `pictures` that lie where photographs may.
+/// Finds the masks and removes from `pictures` those in places where photographs may be.
 pub(super) fn take(pictures: &mut Vec<Entry>, poses: &[&Entry]) -> Found {
     let mut found = Found::default();
     for file in poses.iter().filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json")) {
@@ -140,7 +140,7 @@ impl Found {
         }
     }
 
-    /// The masks of these photographs, which lie in `folder`.
+    /// The masks of these photographs, which are in `folder`.
     pub(super) fn of(
         self,
         photographs: &[Entry],
@@ -195,7 +195,7 @@ fn warn(warnings: &mut Vec<CaptureWarning>, what: &str, masks: &[&PhotoPath]) {
     }
 }
 
-/// A mask that lies beside its photograph.
+/// A mask beside its photograph.
 fn beside(entry: &Entry, paths: &HashSet<String>, stems: &HashSet<String>) -> Option<Named> {
     let (folder, stem) = (entry.path.folder(), PhotoPath::new(entry.path.stem()));
     let named = |photograph: &str, white_hides| Named {
@@ -214,12 +214,12 @@ fn beside(entry: &Entry, paths: &HashSet<String>, stems: &HashSet<String>) -> Op
         let name = stem.name().get(..stem.name().len() - END.len())?;
         return is_photograph(name).then(|| named(name, false));
     }
-    // COLMAP's way in one folder.
+    // COLMAP's naming in a single folder.
     let is_double = named_like_a_photograph(Path::new(stem.name()));
     (is_double && paths.contains(&whole(stem.name()))).then(|| named(stem.name(), false))
 }
 
-/// A mask in a folder of masks, which takes the place of that of the photographs.
+/// A mask in a mask folder, which replaces the folder of the photographs in the path.
 fn in_folder(entry: &Entry) -> Option<Named> {
     let by = match is_small_copy(entry) {
         true => By::SmallCopy,
@@ -237,7 +237,7 @@ fn in_folder(entry: &Entry) -> Option<Named> {
     Some(Named { photograph, entry: entry.clone(), white_hides: false, by })
 }
 
-/// A path without the folders that tell photographs from their masks.
+/// A path without the folders that distinguish photographs from their masks.
 fn key(path: &PhotoPath) -> PhotoPath {
     let is_role = |part: &str| {
         let part = part.to_ascii_lowercase();

@@ -1,4 +1,4 @@
-//! A photograph of a capture, and what became of it.
+//! A photograph of a capture and its outcome.
 
 use std::path::PathBuf;
 
@@ -13,13 +13,13 @@ use super::prepared::PreparedImage;
 /// One accepted photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CaptureView {
-    /// Our own name: letters, digits, `-`, `_`, at most 40, unique also where case is ignored.
+    /// Our own name: letters, digits, `-`, `_`, at most 40, unique even ignoring case.
     pub name: String,
-    /// The owner's path below the folder of the photographs, never a path of ours.
+    /// The owner's path below the folder of the photographs, never a path on this machine.
     pub path: PhotoPath,
-    /// The original, for its header alone.
+    /// The original, read only for its header.
     pub file: PathBuf,
-    /// What the pipeline reads in its place.
+    /// The image that the pipeline reads instead.
     pub prepared: PreparedImage,
     /// Width of the upright photograph, px.
     pub width: usize,
@@ -27,7 +27,7 @@ pub struct CaptureView {
     pub height: usize,
     /// Focal length in px, from EXIF.
     pub focal_px: Option<f64>,
-    /// How it was exposed, from EXIF.
+    /// The exposure, from EXIF.
     pub shot: Option<Shot>,
     /// Its sharp ground truth.
     pub gt: Option<PreparedImage>,
@@ -35,39 +35,38 @@ pub struct CaptureView {
     pub masking: Option<Masking>,
 }
 
-/// What became of one file.
+/// The outcome for one file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assessment {
-    /// The path as uploaded, below the folder of the photographs; numbered where others have it,
-    /// too.
+    /// The path as uploaded, below the folder of the photographs; numbered if others have the same.
     pub name: String,
     /// Whether it is used.
     pub accepted: bool,
-    /// Why not.
+    /// The reason if it is not.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Whether its format is known but not read (HEIC, raw): HTTP 415 rather than 422.
+    /// Whether its format is known but unsupported (HEIC, raw): HTTP 415 rather than 422.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub unsupported_format: bool,
-    /// Width of the upright photograph, px; 0 when it could not be read.
+    /// Width of the upright photograph, px; 0 if it is unreadable.
     pub width: usize,
-    /// Height of the upright photograph, px; 0 when it could not be read.
+    /// Height of the upright photograph, px; 0 if it is unreadable.
     pub height: usize,
     /// Focal length in px, from EXIF.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
-    /// Mean of the brightest channel, as a share of white; of a photograph that is used.
+    /// Mean of the brightest channel, as a share of white; only if the photograph is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f32>,
-    /// Sharpness relative to the capture's median; of a photograph that is used. Comparable within
-    /// one capture only.
+    /// Sharpness relative to the capture's median; only if the photograph is used. Comparable
+    /// within one capture only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sharpness: Option<f32>,
     /// What the user should know about it.
     pub warnings: Vec<CaptureWarning>,
 }
 
-/// Something worth knowing that does not stop the work.
+/// Information that does not stop the work.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CaptureWarning {
     /// Stable snake_case code: `dark`, `blurred`, `hdr`, `mixed_sizes`, `few` and others.

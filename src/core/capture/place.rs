@@ -1,4 +1,4 @@
-//! In which folders the photographs of a capture lie.
+//! Finds the folders that contain the photographs of a capture.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,10 +8,10 @@ use super::photograph::CaptureWarning;
 use super::versions::{self, Choice};
 use crate::photo_path::PhotoPath;
 
-/// Folders of ground truth.
+/// Ground truth folders.
 pub(super) const TRUTH: [&str; 2] = ["gt", "hl"];
 
-/// Folders that are called after photographs: the first of these that there is has them.
+/// Folders named after photographs: the first of these that exists contains them.
 pub(super) const HOMES: [&str; 11] = [
     "images",
     "image",
@@ -26,7 +26,7 @@ pub(super) const HOMES: [&str; 11] = [
     "dcim",
 ];
 
-/// Folders of pictures that were made of the photographs, as scanners and trainers write them.
+/// Folders of pictures derived from the photographs, as scanners and trainers write them.
 pub(super) const MADE: [&str; 22] = [
     "depth",
     "depths",
@@ -52,10 +52,10 @@ pub(super) const MADE: [&str; 22] = [
     "sparse_gt",
 ];
 
-/// How the names of such folders end that begin otherwise.
+/// Suffixes of other such folders.
 const MADE_ENDS: [&str; 4] = ["_mask", "_masks", "_depth", "_depths"];
 
-/// Folders that part the photographs of one scene.
+/// Folders that divide the photographs of one scene.
 const PARTS: [&[&str]; 2] = [
     &["train", "test", "val", "valid", "validation", "eval"],
     &[
@@ -64,7 +64,7 @@ const PARTS: [&[&str]; 2] = [
     ],
 ];
 
-/// Whether a picture lies in a folder of such pictures, or in one like `sam_masks/`.
+/// Whether a picture is in a folder of derived pictures, or in one like `sam_masks/`.
 fn is_made(entry: &Entry) -> bool {
     let ends_so = |part: &str| {
         let part = part.to_ascii_lowercase();
@@ -75,9 +75,9 @@ fn is_made(entry: &Entry) -> bool {
         || entry.path.folder().split('/').any(ends_so)
 }
 
-/// Whether the pictures are those of a set of low light: photographs in `low/` and, of some of
-/// them, bright ones of the same names in `high/`. Takes `low/` from their paths, as that is where
-/// they are.
+/// Whether the pictures are a low-light set: photographs in `low/` and, for some of them, bright
+/// ones with the same names in `high/`. Removes `low/` from the paths, as the photographs are
+/// there.
 pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
     let is_low = |entry: &Entry| top(entry).is_some_and(|top| top.eq_ignore_ascii_case("low"));
     let below = |entry: &Entry| entry.path.below(top(entry)?);
@@ -93,27 +93,27 @@ pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
     true
 }
 
-/// Whether a picture lies in `high/`, which some sets call `normal/`.
+/// Whether a picture is in `high/`, which some sets call `normal/`.
 pub(super) fn is_high(entry: &Entry) -> bool {
     let is_called = |top: &str| ["high", "normal"].iter().any(|n| top.eq_ignore_ascii_case(n));
     top(entry).is_some_and(is_called)
 }
 
-/// Where the photographs lie.
+/// Where the photographs are.
 #[derive(Debug)]
 pub(super) struct Place {
-    /// The folder that all are below.
+    /// Their common folder.
     pub(super) folder: String,
-    /// Their paths are those below it.
+    /// The photographs, with paths relative to it.
     pub(super) photographs: Vec<Entry>,
     /// Pictures elsewhere, which are not read.
     pub(super) others: Vec<Entry>,
-    /// A warning of them.
+    /// A warning about those pictures.
     pub(super) warning: Option<CaptureWarning>,
 }
 
 impl Place {
-    /// With the pictures that poses name in place of others of the same names.
+    /// Uses the pictures that the poses name instead of others with the same names.
     pub(super) fn named_by(self, names: &[PhotoPath]) -> Self {
         let folders: BTreeSet<&str> = names.iter().map(PhotoPath::folder).collect();
         let is_named = |entry: &Entry| {
@@ -136,14 +136,14 @@ impl Place {
     }
 }
 
-/// Whether a picture is a small copy of a photograph, as LLFF has them beside.
+/// Whether a picture is a small copy of a photograph, as in LLFF sets.
 fn is_copy(entry: &Entry) -> bool {
     top(entry).is_some_and(|top| top.to_ascii_lowercase().starts_with("images_"))
 }
 
-/// The photographs among all pictures but ground truth. Poses that came with them tell which are
-/// meant, so that folders of any names may part them, unless each has `poses` of its own. Without
-/// photographs, a video may be told of.
+/// The photographs among all pictures except ground truth. Poses in the capture identify them, so
+/// folders of any name may divide them, unless each folder has its own `poses`. If there are no
+/// photographs, the error may mention a video.
 ///
 /// # Errors
 /// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
@@ -200,10 +200,10 @@ pub(super) fn find(
     Ok(chosen(&folder, candidates, |entry| all || top(entry).is_some()))
 }
 
-/// The folder whose pictures are those of the poses, where others have versions of them.
+/// The folder whose pictures match the poses, if other folders have versions of them.
 ///
 /// # Errors
-/// [`CaptureError::Scattered`] where nothing tells which it is.
+/// [`CaptureError::Scattered`] if it cannot be determined.
 fn version(candidates: &[Entry], poses: &[&Entry]) -> Result<Option<String>, CaptureError> {
     let pictures: Vec<&Entry> = candidates.iter().filter(|entry| !is_copy(entry)).collect();
     let folders = versions::of(&pictures);
@@ -227,7 +227,7 @@ fn top(entry: &Entry) -> Option<&str> {
     entry.path.as_str().split_once('/').map(|(top, _)| top)
 }
 
-/// The folders of this name that lie least deep.
+/// The folders with this name at the lowest depth.
 fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
     let mut by_depth: BTreeMap<usize, BTreeSet<String>> = BTreeMap::new();
     for entry in entries {
@@ -240,17 +240,17 @@ fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
     Some(least.into_iter().collect())
 }
 
-/// Whether there are poses outside of these folders, which can be those of all.
+/// Whether there are poses outside these folders, which can cover all of them.
 fn are_spanned(folders: &BTreeSet<&str>, poses: &[&Entry]) -> bool {
     let is_outside = |folder: &&str, e: &Entry| folder.is_empty() || e.path.below(folder).is_none();
     poses.iter().any(|e| folders.iter().all(|folder| is_outside(folder, e)))
 }
 
-/// Whether folders part one scene: by known words, or as `cam0` and `cam1`, `100CANON` and
-/// `101CANON` do.
+/// Whether folders divide one scene: by known words, or numbered like `cam0` and `cam1`, or
+/// `100CANON` and `101CANON`.
 fn are_parts(folders: &BTreeSet<&str>) -> bool {
     let all = |is: &dyn Fn(&str) -> bool| { folders.iter() }.all(|f| is(&f.to_ascii_lowercase()));
-    // As cameras name the folders of a card.
+    // Cameras name the folders of a card like this.
     let is_numbered = |f: &str| f.len() == 8 && f.bytes().take(3).all(|b| b.is_ascii_digit());
     let is_camera = |f: &str| {
         let word = f.trim_matches(|c: char| c.is_ascii_digit() || "_- ".contains(c));
@@ -261,15 +261,15 @@ fn are_parts(folders: &BTreeSet<&str>) -> bool {
         || PARTS.iter().any(|words| all(&|folder| words.contains(&folder)))
 }
 
-/// Those that are meant, with their paths below `folder`.
+/// The matching candidates, with paths relative to `folder`.
 fn chosen(folder: &str, candidates: Vec<Entry>, is_meant: impl Fn(&Entry) -> bool) -> Place {
     let (meant, others): (Vec<_>, Vec<_>) = candidates.into_iter().partition(is_meant);
-    let told: Vec<Entry> = { others.iter() }.filter(|e| !is_copy(e)).cloned().collect();
-    let warning = (!told.is_empty()).then(|| {
+    let listed: Vec<Entry> = { others.iter() }.filter(|e| !is_copy(e)).cloned().collect();
+    let warning = (!listed.is_empty()).then(|| {
         let message = format!(
             "photographs are read from {}; not from {}: move them there if they belong to it",
             in_words(&places(&meant)),
-            in_words(&places(&told))
+            in_words(&places(&listed))
         );
         CaptureWarning::new("elsewhere", message)
     });
@@ -282,7 +282,7 @@ fn scattered(candidates: &[Entry]) -> CaptureError {
     CaptureError::Scattered { seen: places(candidates) }
 }
 
-/// Folders with how many pictures lie in each.
+/// Folders with the number of pictures in each.
 fn places(entries: &[Entry]) -> Vec<(String, usize)> {
     let mut places: BTreeMap<String, usize> = BTreeMap::new();
     for entry in entries {
@@ -293,7 +293,7 @@ fn places(entries: &[Entry]) -> Vec<(String, usize)> {
 
 /// "garden/ (12 pictures) and kitchen/ (1 picture)".
 pub(super) fn in_words(places: &[(String, usize)]) -> String {
-    const TOLD: usize = 5;
+    const MOST_LISTED: usize = 5;
     let one = |(folder, count): &(String, usize)| {
         let folder = match folder.as_str() {
             "" => "the capture's own folder".to_owned(),
@@ -301,9 +301,9 @@ pub(super) fn in_words(places: &[(String, usize)]) -> String {
         };
         format!("{folder} ({count} picture{})", if *count == 1 { "" } else { "s" })
     };
-    let mut told: Vec<String> = places.iter().take(TOLD).map(one).collect();
-    if places.len() > TOLD {
-        told.push(format!("{} more folders", places.len() - TOLD));
+    let mut listed: Vec<String> = places.iter().take(MOST_LISTED).map(one).collect();
+    if places.len() > MOST_LISTED {
+        listed.push(format!("{} more folders", places.len() - MOST_LISTED));
     }
-    told.join(" and ")
+    listed.join(" and ")
 }

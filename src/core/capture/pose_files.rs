@@ -1,4 +1,4 @@
-//! Which files of a capture give its poses.
+//! Finds the files of a capture that contain its poses.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,15 +10,15 @@ use super::versions::is_undistorted;
 use crate::dataset::GivenPoses;
 use crate::photo_path::PhotoPath;
 
-/// Folders in which COLMAP models are looked for, themselves or one for each model; "" is the
-/// capture, in which only a model of its own is. `sparse_gt/` is not among them: poses are measured
-/// against it, it gives none.
+/// Folders in which COLMAP models are looked for, either the model itself or one folder per model;
+/// "" is the capture's root, which may only be a model itself. `sparse_gt/` is excluded: it is the
+/// reference for measuring poses, not a source of poses.
 const MODELS: [&str; 4] = ["sparse", "colmap/sparse", "dense/sparse", ""];
 
-/// Folders whose models are no poses of the capture.
+/// Folders whose models are not poses of the capture.
 const NO_POSES: [&str; 1] = ["sparse_gt"];
 
-/// A warning of the poses of each program in whose format they are not read.
+/// One warning for each program whose pose format is unsupported.
 pub(super) fn foreign(files: &[(Entry, &'static str)]) -> Vec<CaptureWarning> {
     let mut programs: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for (entry, program) in files.iter().filter(|(entry, _)| !entry.path.lies_in(&NO_POSES)) {
@@ -38,16 +38,16 @@ pub(super) fn foreign(files: &[(Entry, &'static str)]) -> Vec<CaptureWarning> {
     programs.into_iter().map(warning).collect()
 }
 
-/// Poses of the capture.
+/// One set of poses of the capture.
 struct Set {
-    /// Their path inside the capture, for a sentence.
+    /// The path inside the capture, for messages.
     name: String,
     given: GivenPosesFile,
     files: Vec<Entry>,
 }
 
-/// The names of photographs in NeRF's files of poses, seen from the capture: they have folders.
-/// Copies of these files under names of their users' count where there are no others.
+/// The names of photographs in NeRF pose files, relative to the capture, with folders. Files
+/// renamed by the user count only if there are no others.
 pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
     let json = { entries.iter() }.filter(|e| e.path.name().to_ascii_lowercase().ends_with(".json"));
     let (known, others): (Vec<&Entry>, Vec<&Entry>) =
@@ -61,9 +61,9 @@ pub(super) fn names(entries: &[&Entry]) -> Vec<PhotoPath> {
     names.flatten().collect()
 }
 
-/// The poses of photographs that lie in `folder`, and their files: of those in known places, beside
-/// that folder before the capture's own, otherwise of those anywhere the ones of most photographs,
-/// in the order of preference. Some may be those of pictures `elsewhere`, which are not read.
+/// The poses of photographs in `folder`, and their files. Poses in known places come first, beside
+/// that folder before the capture's root; otherwise the ones anywhere that cover most photographs,
+/// in order of preference. Some may belong to pictures `elsewhere`, which are not read.
 pub(super) fn find(
     entries: &[Entry],
     folder: &str,
@@ -88,7 +88,7 @@ pub(super) fn find(
             warnings.extend(unused(entries, &sets, &counts));
             return None;
         }
-        // Of poses before and after undistortion those of these photographs.
+        // Of poses before and after undistortion, prefer those of these photographs.
         let is_alike = |at: &usize| is_undistorted(&sets[*at].name) == is_undistorted(folder);
         let firsts = || (0..sets.len()).filter(|at| counts[*at] == most);
         let first = firsts().find(is_alike).or_else(|| firsts().next()).unwrap_or(0);
@@ -99,7 +99,7 @@ pub(super) fn find(
         let message = format!(
             "the poses of {} are taken{which}; photographs with a pose: {}",
             sets[first].name,
-            told(&sets, &counts)
+            in_words(&sets, &counts)
         );
         warnings.push(CaptureWarning::new("models", message));
         sets.swap(0, first);
@@ -121,39 +121,39 @@ impl Set {
     }
 }
 
-/// The names of photographs in the poses that are used; none where they cannot be read.
+/// The names of photographs in the poses that are used; empty if the poses are unreadable.
 pub(super) fn names_in(given: Option<&GivenPosesFile>) -> Vec<PhotoPath> {
     let names = given.map(|given| GivenPoses::open(given.path(), &[]).and_then(|it| it.names()));
     names.and_then(Result::ok).unwrap_or_default()
 }
 
-/// Whether a file of poses is called as programs call it.
+/// Whether a pose file has a name that programs use.
 fn has_known_name(entry: &Entry) -> bool {
     POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase())
 }
 
-/// How many photographs have one of these poses; `None` where they cannot be read.
+/// Number of photographs with one of these poses; `None` if the poses are unreadable.
 fn posed(set: &Set, photographs: &[Entry]) -> Option<usize> {
     let photographs: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
     let given = GivenPoses::open(set.given.path(), &photographs);
     given.and_then(|given| given.check()).ok()
 }
 
-fn told(sets: &[Set], counts: &[Option<usize>]) -> String {
-    let told = |(set, count): (&Set, &Option<usize>)| match count {
+fn in_words(sets: &[Set], counts: &[Option<usize>]) -> String {
+    let one = |(set, count): (&Set, &Option<usize>)| match count {
         Some(count) => format!("{} {count}", set.name),
         None => format!("{} cannot be read", set.name),
     };
-    let all: Vec<String> = sets.iter().zip(counts).map(told).collect();
+    let all: Vec<String> = sets.iter().zip(counts).map(one).collect();
     all.join(", ")
 }
 
-/// A warning of files that give no poses.
+/// A warning about unused pose files.
 fn unused(entries: &[Entry], sets: &[Set], counts: &[Option<usize>]) -> Option<CaptureWarning> {
     if !sets.is_empty() {
         let message = format!(
             "poses are not used, as too few photographs have the names in them: {}",
-            told(sets, counts)
+            in_words(sets, counts)
         );
         return Some(CaptureWarning::new("poses_unused", message));
     }
@@ -167,7 +167,7 @@ fn unused(entries: &[Entry], sets: &[Set], counts: &[Option<usize>]) -> Option<C
     (!lone.is_empty()).then(|| CaptureWarning::new("poses_unused", message))
 }
 
-/// The poses where programs write them, seen from the folder `base`.
+/// The poses in the places where programs write them, relative to the folder `base`.
 fn in_known_places(entries: &[Entry], base: &str) -> Vec<Set> {
     let models = { MODELS.iter() }.flat_map(|folder| models_in(entries, base, folder));
     models.chain(files_in(entries, base)).collect()
@@ -185,7 +185,7 @@ fn anywhere(entries: &[Entry]) -> Vec<Set> {
     sets.collect()
 }
 
-/// NeRF's files of poses in a folder under names of their users'.
+/// NeRF pose files renamed by the user in a folder.
 fn renamed_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let is_json = |e: &Entry| e.path.name().to_ascii_lowercase().ends_with(".json");
     let renamed = { entries.iter() }
@@ -198,7 +198,7 @@ fn renamed_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     renamed.map(set).collect()
 }
 
-/// The files of poses of NeRF and LLFF in a folder.
+/// The NeRF and LLFF pose files in a folder.
 fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     let at = |name: &str| {
         let path = PhotoPath::new(name).inside(folder);
@@ -221,8 +221,8 @@ fn files_in(entries: &[Entry], folder: &str) -> Vec<Set> {
     sets.collect()
 }
 
-/// The models in a folder, binary ones before those of text. One without points is one too: they
-/// can be triangulated.
+/// The models in a folder, binary before text. A model without points also counts: its points can
+/// be triangulated.
 fn models_in(entries: &[Entry], base: &str, folder: &str) -> Vec<Set> {
     let mut paths: Vec<&str> = Vec::new();
     let mut models = Vec::new();

@@ -54,7 +54,7 @@ fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, name: &str, bytes: &[u8]) {
     writer.write_all(bytes).expect("packed");
 }
 
-/// Opens a zip of these bytes; gives the outcome and the files that lie about afterwards.
+/// Opens a zip of these bytes; returns the outcome and the files left afterwards.
 fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("capture.zip");
@@ -71,7 +71,7 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
 }
 
 #[test]
-fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
+fn photographs_are_found_in_the_root_or_images_also_inside_a_wrapper() {
     for prefix in ["", "images/", "my scene/", "my scene/images/"] {
         let names: Vec<String> = [10, 2, 1].iter().map(|i| format!("{prefix}img{i}.jpg")).collect();
         let mut files: Vec<(&str, Vec<u8>)> =
@@ -90,7 +90,7 @@ fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
 }
 
 #[test]
-fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() {
+fn ground_truth_is_matched_by_stem_and_ignored_if_broken_or_of_another_shape() {
     for truth in ["gt", "HL"] {
         let sharp = |width| picture(9, width, 64).encode(EncodeFormat::Png).expect("encoded");
         let capture = open_folder(&[
@@ -111,7 +111,7 @@ fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() 
 }
 
 #[test]
-fn given_poses_are_found_in_order_of_preference_and_those_of_the_truth_are_not() {
+fn given_poses_are_found_in_order_of_preference_without_those_of_the_ground_truth() {
     let photographs =
         || vec![("images/a.jpg", jpeg(1)), ("images/b.jpg", jpeg(2)), ("images/c.jpg", jpeg(3))];
     let with = |more: &[&'static str]| {
@@ -131,7 +131,7 @@ fn given_poses_are_found_in_order_of_preference_and_those_of_the_truth_are_not()
 }
 
 #[test]
-fn a_capture_says_which_photographs_it_holds_out_from_a_zip_too() {
+fn a_capture_sets_its_held_out_photographs_also_from_a_zip() {
     let held = |name: &'static str| {
         let photographs = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
         let mut files: Vec<_> = (1..).map(jpeg).zip(photographs).collect();
@@ -155,7 +155,7 @@ fn a_capture_says_which_photographs_it_holds_out_from_a_zip_too() {
 }
 
 #[test]
-fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
+fn bad_files_are_rejected_individually() {
     let whole = jpeg(4);
     let capture = open_folder(&[
         ("1.jpg", jpeg(1)),
@@ -207,7 +207,7 @@ fn captures_without_enough_usable_photographs_are_refused_with_figures() {
 }
 
 #[test]
-fn hostile_names_never_become_names_of_ours() {
+fn hostile_names_never_become_our_own_names() {
     let long = format!("{}.jpg", "x".repeat(240));
     let capture = open_folder(&[
         ("-rf.jpg", jpeg(1)),
@@ -229,7 +229,7 @@ fn hostile_names_never_become_names_of_ours() {
 }
 
 #[test]
-fn the_captures_for_development_are_accepted_whole() {
+fn the_development_captures_are_accepted_completely() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/captures");
     for (name, count, size) in [("fox", 20, (315, 559)), ("sceaux", 11, (581, 427))] {
         if !root.join(name).is_dir() {
@@ -251,7 +251,7 @@ fn the_captures_for_development_are_accepted_whole() {
     }
 }
 
-/// Even patches of random colour and even brightness: sharp edges everywhere.
+/// Patches of uniform random colour and uniform brightness: sharp edges everywhere.
 fn patches(seed: usize, size: usize, gain: f32) -> Image<Srgb> {
     let mut image = Image::new(size, size);
     for y in 0..size {
@@ -264,7 +264,7 @@ fn patches(seed: usize, size: usize, gain: f32) -> Image<Srgb> {
 }
 
 #[test]
-fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
+fn dark_blurred_and_odd_sized_photographs_each_get_a_warning() {
     let png = |image: Image<Srgb>| image.encode(EncodeFormat::Png).expect("encoded");
     let blurred = patches(4, 160, 0.6).resize_area(12, 12).resize_bilinear(160, 160);
     let capture = open_folder(&[
@@ -300,7 +300,7 @@ fn a_phones_videos_beside_its_photographs_are_listed_and_change_nothing() {
 }
 
 #[test]
-fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
+fn unsupported_archives_and_videos_are_named_with_advice() {
     let photographs = [("1.jpg", jpeg(1)), ("2.jpg", jpeg(2)), ("3.jpg", jpeg(3))];
     let others = [
         ("4.bmp", b"BM\x36".to_vec()),
@@ -308,16 +308,17 @@ fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
         ("walk.mkv", b"\x1a\x45\xdf\xa3".to_vec()),
     ];
     let capture = open_folder(&[&photographs[..], &others].concat()).expect("a capture");
-    let told: Vec<String> = capture.assessments[3..]
+    let listed: Vec<String> = capture.assessments[3..]
         .iter()
         .map(|one| format!("{}: {}", one.name, one.reason.as_deref().unwrap_or_default()))
         .collect();
-    for (told, words) in told.iter().zip(["4.bmp: BMP", "more.tar.gz: gzip", "walk.mkv: Matroska"])
+    for (listed, words) in
+        listed.iter().zip(["4.bmp: BMP", "more.tar.gz: gzip", "walk.mkv: Matroska"])
     {
-        assert!(told.starts_with(words), "{told}");
+        assert!(listed.starts_with(words), "{listed}");
     }
-    assert_eq!(told.len(), 3);
-    // As an upload has them, which puts all in one folder.
+    assert_eq!(listed.len(), 3);
+    // As in an upload, which puts everything in one folder.
     for (name, bytes) in others {
         let error = open_folder(&[(&format!("images/{name}"), bytes.clone())]).expect_err(name);
         assert!(error.to_string().contains("not read: "), "{name}: {error}");
@@ -329,7 +330,7 @@ fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
 }
 
 #[test]
-fn a_path_that_is_no_capture_is_the_users_fault() {
+fn a_path_that_is_not_a_capture_is_a_user_error() {
     let folder = folder(&[("a.txt", b"text".to_vec())]);
     let open =
         |name: &str| Capture::open(&folder.path().join(name), folder.path()).expect_err(name);

@@ -1,5 +1,5 @@
 //! Two files of one exposure: phones and cameras write a JPEG beside a HEIC, TIFF or developed raw
-//! file. If both were used, one would train what the other is held out to measure.
+//! file. If both were used, one could be trained on while the other is held out for measurement.
 
 use std::collections::{HashMap, HashSet};
 
@@ -8,21 +8,21 @@ use super::look::Seen;
 use crate::image::{Image, Srgb};
 use crate::photo_path::PhotoPath;
 
-/// Side of the pictures that are compared, px: noise and what compression adds average out.
+/// Side of the compared pictures, px: averages out noise and compression artefacts.
 const SIDE: usize = 24;
 
-/// Least correlation of twins with one name. They may be developed differently; photographs of
-/// different things, or of one from elsewhere, are far below.
+/// Minimum correlation of twins with the same name. They may be developed differently; different
+/// subjects, or another viewpoint, are far below.
 const ALIKE: f32 = 0.9;
 
-/// Least correlation of twins with different names, whose brightness is the same, too. Saving a
-/// picture in another format keeps it.
+/// Minimum correlation of twins with different names and the same brightness. Saving a picture in
+/// another format preserves it.
 const EQUAL: f32 = 0.9995;
 
-/// Most that the mean brightness of such twins differs, as a share.
+/// Maximum relative difference in mean brightness of such twins.
 const EQUAL_BRIGHTNESS: f32 = 0.02;
 
-/// Extensions by how much of the exposure their files keep, the most first; others are JPEG.
+/// Extensions by how much of the exposure they preserve, most first; others are JPEG.
 const KEEPING: [&[&str]; 4] =
     [&["tif", "tiff", "btf"], &["heic", "heif", "hif"], &["png"], &["webp"]];
 
@@ -46,15 +46,15 @@ impl Print {
 struct One<'a> {
     entry: &'a Entry,
     seen: &'a Seen,
-    /// Its path without an extension, in lower case.
+    /// Its path without the extension, in lower case.
     stem: String,
-    /// Place of its format in [`KEEPING`].
+    /// Position of its format in [`KEEPING`].
     format: usize,
 }
 
-/// The photographs that are not used, by the index of each, with the index of the twin that is. One
-/// that `named` poses call by its name is preferred, then the larger, then the one whose format
-/// keeps more.
+/// The unused photographs by index, each with the index of the twin that is used. A photograph
+/// named by the `named` poses is preferred, then the larger one, then the one whose format
+/// preserves more.
 pub(super) fn of(
     photographs: &[Entry],
     seen: &[Option<&Seen>],

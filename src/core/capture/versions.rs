@@ -1,4 +1,4 @@
-//! Two versions of one set of photographs side by side, as before and after undistortion.
+//! Two versions of one set of photographs side by side, such as before and after undistortion.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,13 +8,13 @@ use crate::dataset::GivenPoses;
 use crate::image::read_header;
 use crate::photo_path::PhotoPath;
 
-/// Whether a path says that its pictures are undistorted.
+/// Whether a path marks its pictures as undistorted.
 pub(super) fn is_undistorted(path: &str) -> bool {
     let lower = path.to_lowercase();
     ["undist", "rectif"].iter().any(|part| lower.contains(part))
 }
 
-/// The folders that hold versions of one set: the same names lie in all of them.
+/// The folders that hold versions of one set: all contain the same names.
 pub(super) fn of(pictures: &[&Entry]) -> BTreeSet<String> {
     let mut names: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
     for entry in pictures {
@@ -29,25 +29,25 @@ pub(super) fn of(pictures: &[&Entry]) -> BTreeSet<String> {
     names.into_keys().filter(|_| are_versions).map(ToOwned::to_owned).collect()
 }
 
-/// Which of the versions the poses are of.
+/// The version that the poses belong to.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Choice {
-    /// Those of several: they are no versions.
+    /// Several: the folders are not versions.
     All,
     /// This one.
     One(String),
-    /// Nothing tells.
+    /// Undetermined.
     Unknown,
 }
 
-/// Poses by the names of photographs, with the size that each has a lens for, px.
+/// Poses by photograph name, with the picture size of each lens, px.
 struct Given {
     path: PhotoPath,
     views: Vec<(PhotoPath, Option<(usize, usize)>)>,
 }
 
-/// Chooses by the folders that the poses name, by the size of their pictures, and by what the names
-/// of folders and files say of undistortion, in this order.
+/// Chooses by the folders that the poses name, by picture size, and by folder and file names that
+/// indicate undistortion, in this order.
 pub(super) fn choose(folders: &BTreeSet<String>, pictures: &[&Entry], poses: &[&Entry]) -> Choice {
     let given: Vec<Given> = poses.iter().filter_map(|entry| Given::read(entry)).collect();
     let named: Vec<BTreeSet<&str>> = given.iter().map(|given| given.folders(folders)).collect();
@@ -62,7 +62,7 @@ pub(super) fn choose(folders: &BTreeSet<String>, pictures: &[&Entry], poses: &[&
         header
             .is_some_and(|header| given.iter().any(|given| given.has(header.width, header.height)))
     };
-    // The originals, where there are poses of them.
+    // Prefer the originals if there are poses for them.
     let is_original = given.iter().any(|given| !is_undistorted(given.path.as_str()));
     let is_alike = |folder: &&str| is_undistorted(folder) != is_original;
     let only = |is: &dyn Fn(&&str) -> bool| {
@@ -85,10 +85,10 @@ impl Given {
         Some(Self { path: entry.path.clone(), views })
     }
 
-    /// Those of the folders in which these names lie.
+    /// The folders that contain these names.
     fn folders<'a>(&self, folders: &'a BTreeSet<String>) -> BTreeSet<&'a str> {
         let last = |folder: &str| PhotoPath::new(folder).name().to_lowercase();
-        // A name without a folder is one in the folder around the others, where there is one.
+        // A name without a folder means the enclosing folder, if there is one.
         let is_around = |folder: &str| {
             folders
                 .iter()

@@ -1,7 +1,7 @@
-//! A video as photographs: of every stretch the sharpest frame.
+//! A video as photographs: the sharpest frame of each segment.
 //!
-//! ffmpeg reads it in a process of its own: first its beginning, to see how its frames are coded,
-//! then all of it small and grey, to measure sharpness, and last the chosen frames.
+//! ffmpeg reads it in a separate process: first the beginning, to see how the frames are coded,
+//! then the whole video small and grey, to measure sharpness, and last the chosen frames.
 
 mod choose;
 mod error;
@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use self::choose::{Stretches, sharpness};
+use self::choose::{Segments, sharpness};
 use self::error::{MOST_IN_VIDEO, PATIENCE};
 use self::ffmpeg::{Ffmpeg, Output};
 use self::stream::Stream;
@@ -25,47 +25,47 @@ use crate::image::{Unread, read_header};
 pub use self::error::VideoError;
 pub use self::range::Hdr;
 
-/// Frames that are taken when nobody says how many.
+/// Default number of frames.
 pub const FRAMES: usize = 40;
 
-/// Most frames that are taken.
+/// Maximum number of frames.
 pub const MOST_FRAMES: usize = 500;
 
-/// Frames of a larger video are brought down to this long side, px, by area: no preset trains on
-/// more, and noise is averaged.
+/// Larger frames are reduced to this long side, px, by area averaging: no preset trains on more,
+/// and it averages noise.
 const LONG_SIDE: usize = 1920;
 
-/// Side of the square in which sharpness is measured, px. What is compared has one shape anyway.
+/// Side of the square in which sharpness is measured, px. All compared frames have the same shape.
 const MEASURED_SIDE: usize = 320;
 
-/// What is wanted of a video.
+/// A request for frames of a video.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted<'a> {
-    /// Frames; there may be fewer.
+    /// Number of frames; the result may have fewer.
     pub count: usize,
-    /// The folder for them.
+    /// The output folder.
     pub into: &'a Path,
-    /// How their names begin.
+    /// Prefix of their names.
     pub stem: &'a str,
-    /// What they may take on the disk, bytes.
+    /// Disk space that they may take, bytes.
     pub room: u64,
 }
 
-/// What was taken of a video.
+/// The frames taken from a video.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Taken {
-    /// Frames that it has.
+    /// Number of frames in the video.
     pub frames: usize,
-    /// The files of those taken, in order; each has the number of its frame, from 0, in its name.
+    /// The files written, in order; each name has the frame's number, from 0.
     pub files: Vec<PathBuf>,
-    /// The treatment of a range of brightness larger than that of sRGB.
+    /// Treatment of a brightness range larger than sRGB.
     pub hdr: Option<Hdr>,
-    /// Whether each frame was made of two fields of different moments.
+    /// Whether each frame combines two fields from different moments.
     pub is_interlaced: bool,
 }
 
 impl Taken {
-    /// A sentence for who gave the video, which they call `name`.
+    /// A sentence for the user, who knows the video as `name`.
     pub fn told(&self, name: &str) -> String {
         let hdr = self.hdr.map_or(String::new(), |hdr| format!("; {hdr}"));
         let fields =
@@ -79,18 +79,19 @@ impl Taken {
     }
 }
 
-/// Whether a file's name says that it is a video that is read.
+/// Whether a file has the name of a supported video.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str());
     let known = ["mp4", "mov", "m4v"];
     extension.is_some_and(|extension| known.iter().any(|one| one.eq_ignore_ascii_case(extension)))
 }
 
-/// Writes the sharpest frames of `video` as PNG files. `command` is ffmpeg, or what starts it with
-/// the arguments that follow; one that ends with 127 has not found it, as with shells.
+/// Writes the sharpest frames of `video` as PNG files. `command` is ffmpeg, or a program that
+/// starts it with the arguments that follow; exit code 127 means that it was not found, as in
+/// shells.
 ///
 /// # Errors
-/// [`VideoError`]; what was written by then stays.
+/// [`VideoError`]; files written before the error remain.
 pub fn take_frames(
     command: &[OsString],
     video: &Path,
@@ -106,9 +107,9 @@ pub fn take_frames(
     if sharpness.len() < super::MIN_VIEWS {
         return Err(VideoError::TooShort { frames: sharpness.len() });
     }
-    let chosen = Stretches::of(sharpness.len(), wanted.count).sharpest(&sharpness);
+    let chosen = Segments::of(sharpness.len(), wanted.count).sharpest(&sharpness);
     fs::create_dir_all(wanted.into).map_err(VideoError::io(wanted.into))?;
-    // One says how large they all may be, and whether this ffmpeg converts their range.
+    // The first frame gives the size for all, and whether this ffmpeg converts their range.
     let mut first = extract(&ffmpeg, &chosen[..1], wanted, &stream);
     if let (Some(found), Err(VideoError::Unreadable { .. })) = (stream.hdr, &first) {
         stream.hdr = Some(found.left());
@@ -125,7 +126,7 @@ pub fn take_frames(
     Ok(Taken { frames: sharpness.len(), files, hdr, is_interlaced })
 }
 
-/// How sharp each frame is.
+/// The sharpness of each frame.
 fn measure(ffmpeg: &Ffmpeg<'_>, stream: &Stream) -> Result<Vec<f32>, VideoError> {
     let side = MEASURED_SIDE;
     let filter = format!("{}scale={side}:{side}:flags=area,format=gray", stream.first);
@@ -144,7 +145,7 @@ fn measure(ffmpeg: &Ffmpeg<'_>, stream: &Stream) -> Result<Vec<f32>, VideoError>
     Ok(measured)
 }
 
-/// Writes the frames of these numbers, in order.
+/// Writes the frames with these numbers, in order.
 fn extract(
     ffmpeg: &Ffmpeg<'_>,
     chosen: &[usize],
@@ -152,13 +153,13 @@ fn extract(
     stream: &Stream,
 ) -> Result<Vec<PathBuf>, VideoError> {
     let select = format!("select='{}'", any_of(chosen));
-    // Pixels that are not square, then those that are too many.
+    // Make pixels square, then reduce the size.
     let square = "scale='trunc(iw*sar)':ih:flags=area,setsar=1";
     let fit = "force_original_aspect_ratio=decrease:flags=area";
     let most = format!("scale='min(iw,{LONG_SIDE})':'min(ih,{LONG_SIDE})':{fit}");
     let range = stream.hdr.map_or(String::new(), Hdr::filters);
     let filter = format!("{}{select},{square},{most}{range}", stream.first);
-    // Numbers of ours until they are known to be all there; `%` means something to ffmpeg.
+    // Use our own numbers until all frames are present; `%` has a meaning to ffmpeg.
     let folder = wanted.into.join(".frames");
     match fs::remove_dir_all(&folder) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
@@ -175,7 +176,7 @@ fn extract(
         let from = folder.join(format!("{:06}.png", at + 1));
         let to = wanted.into.join(format!("{}-{number:06}.png", wanted.stem));
         match fs::rename(&from, &to) {
-            // A video may lose frames on its second reading where it is damaged.
+            // A damaged video may lose frames on the second reading.
             Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
             moved => moved.map_err(VideoError::io(&to))?,
         }
@@ -185,8 +186,8 @@ fn extract(
     Ok(files)
 }
 
-/// An expression that is true of the frames of these numbers. Balanced: ffmpeg reads no sum of more
-/// than a hundred terms.
+/// An expression that is true for the frames with these numbers. Balanced: ffmpeg parses no sum of
+/// more than a hundred terms.
 fn any_of(numbers: &[usize]) -> String {
     match numbers {
         [] => "0".to_owned(),

@@ -1,34 +1,35 @@
-//! Who watches while photographs are looked at.
+//! Callbacks during the assessment of photographs.
 
 use std::path::Path;
 
 use super::budget::DecodeBudget;
 use crate::image::{Image, Srgb};
 
-/// What a photograph goes through.
+/// A step in the assessment of a photograph.
 #[derive(Clone, Copy, Debug)]
 pub enum Look<'a> {
-    /// Its header is read, or it is decoded.
+    /// Its header is being read, or it is being decoded.
     Begins(&'a str),
-    /// It was decoded from this file: this is it, upright and small. Not told of ground truth.
+    /// It was decoded from this file: the picture, upright and small. Not reported for ground
+    /// truth.
     Seen(&'a str, &'a Path, &'a Image<Srgb>),
-    /// That is over, however it ended.
+    /// The work has ended, successfully or not.
     Ended(&'a str),
 }
 
-/// Who lends the memory in which photographs are decoded, and who is told which one is looked at:
-/// where a decoder takes its process with it, nobody else knows.
+/// Supplies the decoding budget, and receives the name of the photograph in work: if a decoder
+/// takes its process down, this is the only record of it.
 #[derive(Clone, Copy)]
 pub struct Watch<'a> {
-    /// Told once, before the first photograph is decoded, what the largest that are decoded at a
-    /// time take, bytes; says how much may be.
+    /// Called once, before the first photograph is decoded, with the memory that the largest
+    /// photographs decoded at a time take, bytes; returns the budget.
     pub lend: &'a dyn Fn(u64) -> DecodeBudget,
-    /// Told the names of photographs, from several threads.
+    /// Called with the names of photographs, from several threads.
     pub tell: &'a (dyn Fn(Look<'_>) + Sync),
 }
 
 impl Watch<'_> {
-    /// Nobody is told anything, and the budget is the usual one.
+    /// Reports nothing, and uses the default budget.
     pub fn nobody() -> Self {
         Self { lend: &|_| DecodeBudget::default(), tell: &|_| () }
     }

@@ -1,4 +1,4 @@
-//! What a strategy found, and what is believed of it.
+//! The result of a strategy, and which part of it is trusted.
 
 use std::collections::HashSet;
 
@@ -15,20 +15,20 @@ pub(super) struct Candidate {
     pub(super) strategy: char,
     pub(super) model: SparseModel,
     pub(super) copies: Copies,
-    /// What the learned matches say about the model, where there are some.
+    /// How the learned matches agree with the model, if there are any.
     pub(super) consistency: Option<Consistency>,
     pub(super) accepted: bool,
 }
 
 impl Candidate {
-    /// What decides between candidates, most important first.
+    /// Ranks candidates, most important criterion first.
     pub(super) fn rank(&self) -> (bool, usize, u64) {
         (self.accepted, self.believed(), self.exactness())
     }
 
-    /// Observations a photograph over the square of their mean error, in millionths: what the
-    /// variance of a place is inverse to. Of learned points four fifths, as those of COLMAP are
-    /// finer than their error tells.
+    /// Observations per photograph over the square of their mean error, in millionths: inversely
+    /// proportional to the variance of a position. Four fifths for learned points, as COLMAP's are
+    /// finer than their error suggests.
     fn exactness(&self) -> u64 {
         let observations = self.model.observations() as f64 / self.model.images.len() as f64;
         let error = self.model.mean_error().unwrap_or(f64::MAX).max(1e-3);
@@ -36,7 +36,7 @@ impl Candidate {
         (1e6 * share * observations / (error * error)) as u64
     }
 
-    /// The views that are believed, in their order, at the originals' sizes.
+    /// The trusted views, in order, at the originals' sizes.
     pub(super) fn placed(&self, views: &[PoseView]) -> Vec<PosedView> {
         let all = views.iter().zip(&self.copies.copies).enumerate();
         let believed = all.filter(|(index, _)| self.believes(*index));
@@ -58,7 +58,7 @@ impl Candidate {
         consistency.is_none_or(|of| of.believed().contains(&index))
     }
 
-    /// What is said about a photograph's place.
+    /// The verdict on a photograph's pose.
     pub(super) fn verdict(&self, index: usize, view: &PoseView) -> PoseVerdict {
         let file = &self.copies.copies[index].file;
         let is_placed = self.model.images.iter().any(|image| image.name == *file);
@@ -79,7 +79,7 @@ impl Candidate {
         }
     }
 
-    /// The points that two believed photographs or more see.
+    /// The points seen by at least two trusted photographs.
     pub(super) fn points(&self) -> Vec<SparsePoint> {
         let Some(consistency) = &self.consistency else {
             return self.model.sparse_points();
@@ -104,13 +104,13 @@ impl Candidate {
         model.sparse_points()
     }
 
-    /// How many photographs have a place that is believed.
+    /// Number of photographs with a trusted pose.
     pub(super) fn believed(&self) -> usize {
         self.consistency.as_ref().map_or(self.model.images.len(), |of| of.believed().len())
     }
 }
 
-/// The small copies, and what networks found in them.
+/// The small copies, and what the networks found in them.
 pub(super) struct Evidence<'a> {
     pub(super) small: &'a Copies,
     pub(super) found: Option<Correspondences>,

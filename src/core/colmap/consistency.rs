@@ -1,10 +1,10 @@
-//! Whether a model agrees with the matches: how many photographs it has placed says nothing.
+//! Checks a model against the matches: the number of placed photographs proves nothing.
 //!
-//! Matches between two photographs fit a model where each lies near the epipolar line of the
-//! other. Between photographs of different places that look alike (the windows of two walls, the
-//! sides of a table) there are matches, too, and a model that believed them contradicts the true
-//! ones. Those are more: so the strongest matches that hold all photographs together, a maximum
-//! spanning tree, decide. Where the model contradicts a branch, what hangs on it is not believed.
+//! Matches between two photographs fit a model if each is near the epipolar line of the other.
+//! Photographs of different but similar places (the windows of two walls, the sides of a table)
+//! also match, and a model that trusts these matches contradicts the true ones. The true ones are
+//! more numerous, so the strongest matches that connect all photographs, a maximum spanning tree,
+//! decide. If the model contradicts a branch, the photographs that depend on it are not trusted.
 
 use std::collections::HashMap;
 
@@ -17,17 +17,17 @@ use crate::poses::Lens;
 use crate::poses::matching::{Correspondences, PairMatches};
 use crate::poses::model::SparseModel;
 
-/// Farthest that a match may lie from the epipolar line, px of the small copies.
+/// Largest distance of a match from the epipolar line, px of the small copies.
 const NEAR: f64 = 3.0;
 
-/// Least share of a branch's matches that fit the model. On models with true poses (cells of 2.6
-/// and 4.4 px) 0.71 and more of every branch's do, of a false branch 0.64 and fewer, but 0.73 once.
+/// Smallest share of a branch's matches that fit the model. On models with true poses (cells of 2.6
+/// and 4.4 px) it is 0.71 or more for every branch; for a false branch 0.64 or less, but 0.73 once.
 const LEAST_FIT: f64 = 0.68;
 
-/// Share of the matches of a pair from which on it speaks for its model.
+/// Share of a pair's matches from which it supports its model.
 const SUPPORT: f64 = 0.5;
 
-/// The matches of two placed photographs, and how many fit.
+/// The matches of two placed photographs, and how many of them fit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct PairFit {
     pub first: usize,
@@ -42,13 +42,13 @@ impl PairFit {
     }
 }
 
-/// What the matches say about a model.
+/// How the matches agree with a model.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Consistency {
-    /// Of every pair of placed photographs that has matches.
+    /// For every pair of placed photographs with matches.
     pub pairs: Vec<PairFit>,
-    /// Placed photographs that the strongest matches hold together as the model has them; the part
-    /// with most of them first.
+    /// Placed photographs that the strongest matches connect consistently with the model; the
+    /// largest part first.
     pub parts: Vec<Vec<usize>>,
 }
 
@@ -61,7 +61,7 @@ struct Placed {
 }
 
 impl Consistency {
-    /// Holds a model, made of `copies`, against the matches that were found in `small` ones.
+    /// Compares a model, made from `copies`, with the matches found in the `small` ones.
     pub fn of(
         model: &SparseModel,
         copies: &Copies,
@@ -92,7 +92,7 @@ impl Consistency {
         fitting as f64 / matches.max(1) as f64
     }
 
-    /// The photographs that are believed.
+    /// The trusted photographs.
     pub fn believed(&self) -> &[usize] {
         self.parts.first().map_or(&[], Vec::as_slice)
     }
@@ -105,7 +105,7 @@ impl Consistency {
         })
     }
 
-    /// What fits the model between believed photographs, and of the others' pairs the `strongest`.
+    /// The fitting matches between trusted photographs, and the `strongest` pairs of the others.
     pub fn agreeing(
         &self,
         found: &Correspondences,
@@ -129,7 +129,7 @@ impl Consistency {
     }
 }
 
-/// The model's cameras by the index of the photograph.
+/// The model's cameras by photograph index.
 fn placed(model: &SparseModel, copies: &Copies, small: &Copies) -> HashMap<usize, Placed> {
     let mut placed = HashMap::new();
     for image in &model.images {
@@ -152,7 +152,7 @@ fn placed(model: &SparseModel, copies: &Copies, small: &Copies) -> HashMap<usize
     placed
 }
 
-/// How many matches of a pair lie near each other's epipolar lines.
+/// Number of matches of a pair that are near each other's epipolar lines.
 fn fitting(a: &Placed, b: &Placed, pair: &PairMatches, found: &Correspondences) -> usize {
     let rotation = b.camera.rotation() * a.camera.rotation().transpose();
     let translation = b.camera.translation() - rotation * a.camera.translation();
@@ -178,7 +178,7 @@ fn fitting(a: &Placed, b: &Placed, pair: &PairMatches, found: &Correspondences) 
     pair.matches.iter().filter(near).count()
 }
 
-/// The branches of the maximum spanning tree that fit hold its parts together.
+/// The parts connected by the fitting branches of the maximum spanning tree.
 fn parts(views: &[usize], pairs: &[PairFit]) -> Vec<Vec<usize>> {
     let mut strongest: Vec<&PairFit> =
         pairs.iter().filter(|pair| pair.matches >= LEAST_MATCHES).collect();

@@ -1,8 +1,8 @@
-//! Pose copies: the dark originals as COLMAP should see them.
+//! Pose copies: the dark originals, prepared for COLMAP.
 //!
-//! One gain a photograph in linear light, so that the median level is sRGB 0.4, and a soft clip
-//! ([`brightened`]): of gamma, weaker gain, the original, CLAHE and denoising, this registered most
-//! photographs. Area-averaging to about 560 px is a denoiser for free.
+//! One gain per photograph in linear light, so that the median level is sRGB 0.4, and a soft clip
+//! ([`brightened`]): compared with gamma, weaker gain, the original, CLAHE and denoising, this
+//! registered most photographs. Area-averaging to about 560 px also denoises.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -16,36 +16,36 @@ use crate::capture::on_few_threads;
 use crate::mask::Mask;
 use crate::poses::{PoseView, PosesError};
 
-/// Copies longer than this are brought down to [`SMALL_SIDE`]: under 250-300 px features run out.
+/// Longer copies are reduced to [`SMALL_SIDE`]: below 250-300 px there are too few features.
 const LARGEST_SMALL_SIDE: usize = 640;
 
-/// Long side of a small copy, px: where the thresholds of the strategies were measured.
+/// Long side of a small copy, px: the thresholds of the strategies were measured at it.
 const SMALL_SIDE: usize = 560;
 
-/// Focal lengths that differ by less are one lens, focused nearer or farther.
+/// Focal lengths that differ by less are one lens at different focus distances.
 const SAME_LENS: f64 = 1.05;
 
 /// How copies differ from their originals.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// Brightened, and brought down to [`SMALL_SIDE`].
+    /// Brightened, and reduced to [`SMALL_SIDE`].
     Small,
-    /// Brightened, of the prepared image's size.
+    /// Brightened, at the prepared image's size.
     Full,
-    /// Small, as bright as they are.
+    /// Small, at the original brightness.
     Plain,
 }
 
-/// Where the copies stand and how they relate to the originals.
+/// Where the copies are stored and how they relate to the originals.
 #[derive(Clone, Debug)]
 pub(super) struct Copies {
     pub dir: PathBuf,
     pub copies: Vec<Copy>,
-    /// Whether one camera took them: all have one size, and one focal length where EXIF tells.
+    /// Whether one camera took them: all have one size and, if in EXIF, one focal length.
     pub one_camera: bool,
-    /// The pixels that count of each copy with a mask.
+    /// The unmasked pixels of each copy with a mask.
     pub masks: Arc<[Option<Mask>]>,
-    /// How many focal lengths EXIF tells of, those within 5 % taken for one.
+    /// Number of focal lengths in EXIF, with those within 5 % counted as one.
     pub zooms: usize,
 }
 
@@ -81,7 +81,7 @@ impl Copies {
         let camera = |(copy, lens): (&Copy, &usize)| (copy.size, *lens);
         let cameras: BTreeSet<_> = copies.iter().zip(&lenses).map(camera).collect();
         let one_camera = cameras.len() == 1;
-        // COLMAP shares a camera by folder where not all photographs can share one.
+        // COLMAP shares a camera per folder if not all photographs can share one.
         let copies: Vec<Copy> = copies
             .into_iter()
             .zip(&lenses)
@@ -109,12 +109,12 @@ impl Copies {
         Ok(written)
     }
 
-    /// The folder of the copies' masks, each called as its copy and `.png`; `None` without any.
+    /// The folder of the copies' masks, each named after its copy plus `.png`; `None` without any.
     pub fn mask_dir(&self) -> Option<PathBuf> {
         self.masks.iter().any(Option::is_some).then(|| self.dir.with_extension("masks"))
     }
 
-    /// Where one copy has a mask, all get one.
+    /// If one copy has a mask, all get one.
     fn write_masks(&self) -> Result<(), PosesError> {
         let Some(dir) = self.mask_dir() else {
             return Ok(());
@@ -136,12 +136,12 @@ impl Copies {
         self.masks[copy].as_ref().is_some_and(|mask| !mask.holds_at(point))
     }
 
-    /// Whether full-size copies would be no different.
+    /// Whether full-size copies would be the same.
     pub fn are_full_size(&self) -> bool {
         self.copies.iter().all(|copy| copy.original.0.max(copy.original.1) <= LARGEST_SMALL_SIDE)
     }
 
-    /// The focal length of the copies, px, where one camera took them and EXIF tells.
+    /// The focal length of the copies, px, if one camera took them and EXIF has it.
     pub fn focal(&self, views: &[PoseView]) -> Option<f64> {
         let scaled = |(copy, view): (&Copy, &PoseView)| {
             let share =
@@ -155,8 +155,8 @@ impl Copies {
     }
 }
 
-/// Which lens each photograph was taken with, by its focal length over the longer side: 1 is the
-/// shortest, 0 where EXIF does not tell.
+/// The lens of each photograph, from its focal length over the longer side: 1 is the shortest, 0 if
+/// EXIF has none.
 fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
     let known = |length: &Option<f64>| length.filter(|f| f.is_finite() && *f > 0.0);
     let mut sorted: Vec<f64> = lengths.iter().filter_map(known).collect();
@@ -184,7 +184,7 @@ impl Copy {
         } else {
             (view.prepared.width, view.prepared.height)
         };
-        // Our own name: nothing of the user's reaches a command line or a list file.
+        // Our own name: no user text reaches a command line or a list file.
         Self { file: format!("v{index:05}.png"), original, size }
     }
 
@@ -211,7 +211,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_lens_is_known_by_its_focal_length() {
+    fn a_lens_is_identified_by_its_focal_length() {
         assert_eq!(lenses(&[None, None]), [0, 0]);
         assert_eq!(lenses(&[Some(0.8), Some(0.82), Some(0.81)]), [1, 1, 1]);
         let zoomed = [Some(1.5), Some(0.8), None, Some(0.83), Some(f64::NAN)];

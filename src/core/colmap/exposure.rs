@@ -3,41 +3,40 @@
 use crate::image::{Image, Linear, Srgb, srgb_to_linear};
 use crate::mask::Mask;
 
-/// sRGB level that the median is brought to.
+/// Target sRGB level of the median.
 const MEDIAN_LEVEL: f32 = 0.4;
 
-/// A photograph whose median is darker than half a code value of 8 bits gets no more gain, and a
-/// pixel is black below it.
+/// Below half an 8-bit code value, a median gets no more gain and a pixel is black.
 const DARKEST: f32 = 0.5 / 255.0 / 12.92;
 
-/// Linear light from which a pixel is clipped in the photograph itself.
+/// Linear light from which a pixel of the photograph itself is clipped.
 const CLIPPED: f32 = 0.98;
 
-/// Share of black and clipped pixels up to which they count as all others do: they hardly move the
-/// median. Of nine captures of rooms, courtyards and plants none has more than a quarter; an object
+/// Share of black and clipped pixels up to which they count like all others: they hardly move the
+/// median. In nine captures of rooms, courtyards and plants none has more than a quarter; an object
 /// before black or white has more.
 const FEW: f64 = 0.3;
 
-/// Share of the pixels that stay below the linear light 1 after the gain. Of the same captures,
-/// dark ones have at most 0.5 there.
+/// Share of the pixels that stay below linear light 1 after the gain. In the same captures, dark
+/// ones have at most 0.5 there.
 const BELOW_WHITE: f64 = 0.75;
 
-/// Largest noise after the gain, linear light, with the median at 0.13: more of it would only hide
-/// what the other parts of the photograph show. Dark captures have up to 0.02.
+/// Largest noise after the gain, linear light, with the median at 0.13: more would only hide what
+/// other parts of the photograph show. Dark captures have up to 0.02.
 const MOST_NOISE: f32 = 0.1;
 
-/// Share of the pixels that may be white after the gain and were not before.
+/// Share of the pixels that the gain may turn white.
 const WHITE: f64 = 0.01;
 
-/// Linear light up to which nothing is clipped; above it values approach 1 without reaching it.
+/// Linear light below which nothing is clipped; above it values approach 1 without reaching it.
 const KNEE: f32 = 0.7;
 
-/// Linear light of the code value 254.5 of 8 bits, from which a value is stored as white.
+/// Linear light of the 8-bit code value 254.5, from which a value is stored as white.
 const STORED_AS_WHITE: f32 = 0.9955;
 
-/// The photograph at the brightness COLMAP likes: one gain in linear light that brings the median
-/// to [`MEDIAN_LEVEL`], and a soft clip. Masked pixels have no say, nor have many black or clipped
-/// ones. A photograph that is bright already stays.
+/// The photograph at a brightness suited to COLMAP: one gain in linear light that brings the median
+/// to [`MEDIAN_LEVEL`], and a soft clip. Masked pixels are ignored, as are black or clipped ones if
+/// there are many. A photograph that is already bright is unchanged.
 pub(crate) fn brightened(image: &Image<Srgb>, mask: Option<&Mask>) -> Image<Srgb> {
     let linear = image.to_linear();
     let lit = Lit::of(&linear, mask);
@@ -46,11 +45,11 @@ pub(crate) fn brightened(image: &Image<Srgb>, mask: Option<&Mask>) -> Image<Srgb
     linear.map(|v| soft_clip(v * gain, reach)).to_srgb()
 }
 
-/// The pixels that decide the gain.
+/// The pixels that determine the gain.
 struct Lit {
     /// Mean of the channels of every pixel, linear light.
     levels: Vec<f32>,
-    /// Whether a pixel decides.
+    /// Whether a pixel counts.
     counts: Vec<bool>,
 }
 
@@ -84,7 +83,7 @@ impl Lit {
     }
 
     /// Standard deviation of the noise of the levels, from the median response of Immerkaer's mask,
-    /// which is blind to planes and straight edges; 0 in pictures too small to tell.
+    /// which ignores planes and straight edges; 0 in pictures that are too small.
     fn noise(&self, width: usize) -> f32 {
         const WEIGHTS: [f32; 9] = [1.0, -2.0, 1.0, -2.0, 4.0, -2.0, 1.0, -2.0, 1.0];
         let height = self.levels.len() / width.max(1);
@@ -95,13 +94,13 @@ impl Lit {
             (0..9).map(|i| WEIGHTS[i] * near(i)).sum()
         };
         let responses = inner.filter(|&at| self.counts[at]).map(|at| response(at).abs());
-        // Of a normal distribution the median is at 0.6745 deviations; the weights' squares sum to
+        // In a normal distribution the median is at 0.6745 deviations; the squared weights sum to
         // 36.
         quantile(responses.collect(), 0.5).unwrap_or(0.0) / 0.6745 / 6.0
     }
 
-    /// How far above the knee values approach 1: so that at most a hundredth of the pixels becomes
-    /// white that was not.
+    /// The distance above the knee over which values approach 1, so that at most a hundredth of the
+    /// pixels become white.
     fn reach(&self, linear: &Image<Linear>, gain: f32) -> f32 {
         let brightest = |i: usize| (0..3).map(|c| linear.plane(c)[i]).fold(0.0, f32::max);
         let all: Vec<f32> = (0..linear.pixels()).map(brightest).collect();
@@ -117,7 +116,7 @@ impl Lit {
     }
 }
 
-/// The value below which this share of the values lies; `None` without any.
+/// The value below which this share of the values lies; `None` if there are none.
 fn quantile(mut values: Vec<f32>, share: f64) -> Option<f32> {
     let at = (values.len() as f64 * share) as usize;
     let last = values.len().checked_sub(1)?;
@@ -125,8 +124,8 @@ fn quantile(mut values: Vec<f32>, share: f64) -> Option<f32> {
     Some(*value)
 }
 
-/// The identity up to the knee, then an exponential approach to 1, of the same slope where `reach`
-/// is the way from the knee to 1.
+/// The identity up to the knee, then an exponential approach to 1, with the same slope if `reach`
+/// is the distance from the knee to 1.
 fn soft_clip(value: f32, reach: f32) -> f32 {
     if value <= KNEE {
         return value;
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bright_photograph_is_left_as_bright_as_it_is() {
+    fn a_bright_photograph_is_unchanged() {
         let mut image: Image<Srgb> = Image::new(4, 4);
         image.data_mut().fill(0.6);
         let out = brightened(&image, None);
@@ -185,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lit_object_before_black_or_nearly_black_stays_as_it_is() {
+    fn a_lit_object_before_black_or_nearly_black_is_unchanged() {
         for (around, edges) in
             [(0.0, [8, 20, 36, 60]), (0.004, [30, 36, 44, 60]), (0.012, [30, 36, 44, 60])]
         {
@@ -205,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_in_the_dark_before_black_is_lifted_by_itself() {
+    fn a_dark_object_before_black_is_lifted_on_its_own() {
         let dark = object(0.0, |x, _| x < 30).map(|v| 0.1 * v);
         let out = brightened(&dark, None);
         let mut lit: Vec<f32> =
@@ -215,8 +214,8 @@ mod tests {
     }
 
     #[test]
-    fn lamps_in_a_dark_room_take_no_gain_from_it_and_hardly_become_white() {
-        // A twentieth of the pixels is 300 times as bright as the middle.
+    fn lamps_in_a_dark_room_do_not_reduce_its_gain_and_hardly_become_white() {
+        // A twentieth of the pixels is 300 times as bright as the median.
         let room = object(0.0, |_, _| true).map(|v| 0.05 * v);
         let lamps = object(0.9, |x, _| x >= 4);
         let mut image = room.clone();
@@ -230,7 +229,7 @@ mod tests {
 
     #[test]
     fn noise_bounds_the_gain() {
-        // Most pixels have one code value of 8 bits, the others any of a dozen.
+        // Most pixels have one 8-bit code value, the others any of a dozen.
         let value = |i: usize| {
             let random = i.wrapping_mul(2_654_435_761) >> 9;
             let codes = if random % 10 < 7 { 1 } else { random / 10 % 13 };
@@ -247,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn masked_pixels_do_not_decide_the_gain() {
+    fn masked_pixels_do_not_affect_the_gain() {
         let dark = object(0.0, |_, _| true).map(|v| 0.1 * v);
         let mut covered = dark.clone();
         (0..WIDTH * HEIGHT).filter(|i| i % WIDTH < 60).for_each(|i| {

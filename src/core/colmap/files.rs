@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::poses::PosesError;
 use crate::poses::model::SparseModel;
 
-/// COLMAP numbers its models as it starts them: the first is not always the largest.
+/// COLMAP numbers its models in order of creation: the first is not always the largest.
 pub(super) fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesError> {
     let entries = std::fs::read_dir(output).map_err(PosesError::io(output))?;
     let mut dirs: Vec<PathBuf> = entries
@@ -18,7 +18,7 @@ pub(super) fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesE
     Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
 }
 
-/// Removes a database with the files beside it.
+/// Removes a database and the files beside it.
 pub(super) fn remove_if_there(file: &Path) -> Result<(), PosesError> {
     for suffix in ["", "-wal", "-shm", "-journal"] {
         let path = PathBuf::from(format!("{}{suffix}", file.display()));

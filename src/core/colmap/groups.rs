@@ -1,13 +1,13 @@
-//! Photographs that hang together.
+//! Groups of connected photographs.
 
 use std::collections::HashMap;
 
 use crate::poses::matching::Correspondences;
 
-/// Fewer matches than this hold nothing together.
+/// Fewer matches do not connect photographs.
 pub(super) const LEAST_MATCHES: usize = 30;
 
-/// Photographs that matches hold together, whatever a model makes of them; the most first.
+/// Photographs connected by matches, regardless of a model; the largest group first.
 pub(super) fn connected(found: &Correspondences) -> Vec<Vec<usize>> {
     let views: Vec<usize> = (0..found.key_points.len()).collect();
     let mut groups = Groups::new(&views);
@@ -19,16 +19,16 @@ pub(super) fn connected(found: &Correspondences) -> Vec<Vec<usize>> {
     groups.members()
 }
 
-/// Views in groups that are joined.
+/// Views in disjoint groups.
 pub(super) struct Groups(HashMap<usize, usize>);
 
 impl Groups {
-    /// Each view alone.
+    /// Each view in its own group.
     pub fn new(views: &[usize]) -> Self {
         Self(views.iter().map(|&view| (view, view)).collect())
     }
 
-    /// Joins the groups of two views; whether they were different.
+    /// Joins the groups of two views; returns whether they were different.
     pub fn join(&mut self, a: usize, b: usize) -> bool {
         let (from, to) = (self.0[&a], self.0[&b]);
         for group in self.0.values_mut() {
@@ -39,7 +39,7 @@ impl Groups {
         from != to
     }
 
-    /// The largest first, then by the first view.
+    /// The groups, largest first, then by the first view.
     pub fn members(&self) -> Vec<Vec<usize>> {
         let mut groups: HashMap<usize, Vec<usize>> = HashMap::new();
         for (&view, &group) in &self.0 {

@@ -1,5 +1,5 @@
-//! Key points and matches that networks found, put into COLMAP's database: it verifies the matches
-//! itself.
+//! Key points and matches found by networks, imported into COLMAP's database: COLMAP verifies the
+//! matches itself.
 
 use std::cmp::Reverse;
 use std::fmt::Write as _;
@@ -16,11 +16,11 @@ use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;
 use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 
-/// Values of a descriptor in COLMAP's text files. They are not used: nothing is matched by them.
+/// Length of a descriptor in COLMAP's text files. Unused: nothing is matched by descriptors.
 const DESCRIPTOR: usize = 128;
 
-/// The selections of pairs that models are built from, until one agrees with all photographs'
-/// strongest matches. With fewer of the strongest there is less that misleads, and less that holds.
+/// The selections of pairs for models, tried until one agrees with the strongest matches of all
+/// photographs. Fewer of the strongest pairs mislead less, but also connect less.
 const SELECTIONS: [Selection; 4] = [
     Selection::All,
     Selection::Strongest(STRONGEST),
@@ -28,25 +28,25 @@ const SELECTIONS: [Selection; 4] = [
     Selection::Strongest(2),
 ];
 
-/// So many pairs of a photograph mislead least: of the sides of a courtyard that look alike, true
+/// This many pairs per photograph mislead least: between similar sides of a courtyard, true
 /// neighbours have more matches than false ones.
 const STRONGEST: usize = 3;
 
-/// How often what a model shows to be false is left out for another.
+/// Number of times that pairs which a model contradicts are replaced.
 const REVISIONS: usize = 2;
 
-/// Which pairs a model is built from.
+/// The pairs from which a model is built.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Selection {
     /// Every pair with matches.
     All,
-    /// The pairs with most matches of each photograph, so many.
+    /// This many pairs with most matches for each photograph.
     Strongest(usize),
 }
 
 impl Search<'_> {
-    /// The best model of the matches that networks find. Where one contradicts stronger matches
-    /// than those it is built on, another is built on the strongest alone, and on what agrees with
+    /// The best model from the matches of the networks. If one contradicts stronger matches than
+    /// those it is built on, another is built from the strongest alone, and from what agrees with
     /// it.
     pub(super) fn best_learned(
         &self,
@@ -66,13 +66,14 @@ impl Search<'_> {
             };
             let selected = selection.of(&found);
             let built = self.build(&selected, letters, evidence, sink, cancel);
-            best = better(best, told(built, sink)?);
+            best = better(best, or_warning(built, sink)?);
             let Some(best) = &best else { continue };
             if best.believed() == total {
                 break;
             }
         }
-        // What agrees with a model built on little places more exactly, and more.
+        // Matches that agree with a model built from few place photographs more precisely, and more
+        // of them.
         let strongest = Selection::Strongest(STRONGEST).of(&found);
         for _ in 0..REVISIONS {
             let Some(now) = best.as_ref().filter(|best| best.strategy > 'M') else {
@@ -83,7 +84,7 @@ impl Search<'_> {
             };
             let (believed, agreeing) = (now.believed(), consistency.agreeing(&found, &strongest));
             let built = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel);
-            best = better(best, told(built, sink)?);
+            best = better(best, or_warning(built, sink)?);
             if best.as_ref().is_none_or(|best| [believed, total].contains(&best.believed())) {
                 break;
             }
@@ -91,8 +92,8 @@ impl Search<'_> {
         Ok(best)
     }
 
-    /// A model of some of the matches: by the mapper as it is, and where that does not place all,
-    /// by a loose one.
+    /// A model from some of the matches: with the default mapper, and with a loose one if that does
+    /// not place all photographs.
     fn build(
         &self,
         matches: &Correspondences,
@@ -116,7 +117,7 @@ impl Search<'_> {
         Ok(best)
     }
 
-    /// Key points and matches of the copies, by networks.
+    /// Key points and matches of the copies, found by networks.
     fn find(
         &self,
         matching: &dyn Matching,
@@ -143,7 +144,7 @@ impl Search<'_> {
         Ok(found)
     }
 
-    /// Fills a new database with what was found in the copies.
+    /// Fills a new database with the findings in the copies.
     pub(super) fn import(
         &self,
         found: &Correspondences,
@@ -191,8 +192,8 @@ impl Selection {
     }
 }
 
-/// What was built; a failure of the tool is told, and another selection may do better.
-fn told(
+/// The built model; a failure of the tool becomes a warning, and another selection may do better.
+fn or_warning(
     built: Result<Option<Candidate>, PosesError>,
     sink: &mut dyn ProgressSink,
 ) -> Result<Option<Candidate>, PosesError> {
@@ -212,7 +213,7 @@ fn better(one: Option<Candidate>, other: Option<Candidate>) -> Option<Candidate>
     }
 }
 
-/// COLMAP's text form of key points: x, y, scale, orientation and a descriptor each.
+/// COLMAP's text format for key points: x, y, scale, orientation and a descriptor each.
 fn features(points: &[[f32; 2]]) -> String {
     let descriptor = " 0".repeat(DESCRIPTOR);
     let mut text = format!("{} {DESCRIPTOR}\n", points.len());
@@ -222,7 +223,7 @@ fn features(points: &[[f32; 2]]) -> String {
     text
 }
 
-/// COLMAP's list of raw matches: the names of a pair, a line a match, an empty line.
+/// COLMAP's list of raw matches: the names of a pair, one line per match, an empty line.
 fn matches(copies: &Copies, pairs: &[PairMatches]) -> String {
     let mut text = String::new();
     for pair in pairs.iter().filter(|pair| !pair.matches.is_empty()) {

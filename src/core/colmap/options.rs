@@ -1,4 +1,4 @@
-//! Options have moved between COLMAP's versions, so each command is asked (`-h`) which it has.
+//! Options have moved between COLMAP's versions, so the help (`-h`) of each command is checked.
 
 use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +9,7 @@ use super::process::{Finished, Runner};
 use crate::cancel::CancelToken;
 use crate::poses::PosesError;
 
-/// An option by all the names it has had, newest last, and its value.
+/// An option by all its names so far, newest last, and its value.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Setting {
     names: &'static [&'static str],
@@ -21,26 +21,27 @@ pub(super) fn set(names: &'static [&'static str], value: &dyn std::fmt::Display)
     Setting { names, value: value.to_string() }
 }
 
-/// Where the copies' masks lie, if they have some: COLMAP takes no features where they are black.
+/// The folder of the copies' masks, if there are any: COLMAP takes no features where they are
+/// black.
 pub(super) fn masks(copies: &Copies) -> Option<Setting> {
     copies.mask_dir().map(|dir| set(&["ImageReader.mask_path"], &dir.display()))
 }
 
 /// COLMAP 3.8 to 3.12, then 3.13 and later.
 pub(super) const RANDOM_SEED: &[&str] = &["random_seed", "default_random_seed"];
-/// Default 1 aborts in a build without CUDA.
+/// The default of 1 aborts in a build without CUDA.
 pub(super) const EXTRACT_USE_GPU: &[&str] =
     &["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"];
 /// Moved in 3.13.
 pub(super) const EXTRACT_THREADS: &[&str] =
     &["SiftExtraction.num_threads", "FeatureExtraction.num_threads"];
-/// Default 1 aborts in a build without CUDA.
+/// The default of 1 aborts in a build without CUDA.
 pub(super) const MATCH_USE_GPU: &[&str] = &["SiftMatching.use_gpu", "FeatureMatching.use_gpu"];
 /// Moved in 3.13.
 pub(super) const GUIDED_MATCHING: &[&str] =
     &["SiftMatching.guided_matching", "FeatureMatching.guided_matching"];
 
-/// The program with what is known of its options.
+/// The program with its options known so far.
 #[derive(Debug)]
 pub(super) struct Prober<'a> {
     runner: &'a Runner,
@@ -52,7 +53,7 @@ impl<'a> Prober<'a> {
         Self { runner, known: RefCell::default() }
     }
 
-    /// Runs `command` with those of `settings` that it has; the others are noted in the log.
+    /// Runs `command` with the `settings` that it supports; the others are noted in the log.
     pub fn run(
         &self,
         command: &str,
@@ -83,7 +84,7 @@ impl<'a> Prober<'a> {
         }
         let finished = self.runner.run(command, &["-h".to_owned()], cancel)?;
         let options = Rc::new(parse(&finished.text()));
-        // Every command has at least a database; without it this is no help text.
+        // Every command has at least a database; without it this is not a help text.
         if !options.contains("database_path") {
             return Err(finished.failure(&format!("{command} -h")));
         }
@@ -92,7 +93,7 @@ impl<'a> Prober<'a> {
     }
 }
 
-/// The long options that a help text lists: `  --Name.part arg (=0)`.
+/// The long options listed in a help text: `  --Name.part arg (=0)`.
 fn parse(help: &str) -> BTreeSet<String> {
     help.lines()
         .filter_map(|line| line.trim_start().strip_prefix("--"))

@@ -1,5 +1,5 @@
-//! One COLMAP command: its own process group, bounded in time and log, killed on cancel and when
-//! we die.
+//! One COLMAP command: in its own process group, limited in time and log size, killed on
+//! cancellation and when this process dies.
 
 use std::collections::VecDeque;
 use std::fs::File;
@@ -14,23 +14,22 @@ use crate::cancel::CancelToken;
 use crate::group::Group;
 use crate::poses::PosesError;
 
-/// How often a running command is looked at: a cancel is obeyed within two of these.
+/// Polling interval of a running command: a cancellation takes effect within two of these.
 const POLL: Duration = Duration::from_millis(25);
 
-/// Most bytes of `colmap.log`. COLMAP writes ~100 bytes a photograph and step; a broken one may
-/// write without end.
+/// Maximum size of `colmap.log`, bytes. COLMAP writes ~100 bytes per photograph and step; a broken
+/// one may write endlessly.
 const LOG_BYTES: u64 = 8 << 20;
 
-/// Bytes of a command's output that are kept in memory: `-h` of the longest command is 6 KB.
+/// Bytes of a command's output kept in memory: `-h` of the longest command is 6 KB.
 const TAIL_BYTES: usize = 64 << 10;
 
-/// How long one COLMAP command may take.
+/// Time limits for one COLMAP command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
-    /// In all.
+    /// Total.
     pub wall: Duration,
-    /// Without a byte of output. Matching a block of 50 photographs on a slow machine is silent
-    /// for minutes.
+    /// Without output. Matching a block of 50 photographs on a slow machine is silent for minutes.
     pub silence: Duration,
 }
 
@@ -46,11 +45,11 @@ pub(super) struct Runner {
     program: PathBuf,
     limits: Limits,
     log: Option<Mutex<Log>>,
-    /// Whether `setpriv` is there to tie the child's life to ours.
+    /// Whether `setpriv` is available to tie the child's life to this process.
     setpriv: bool,
 }
 
-/// A file that stops growing at [`LOG_BYTES`] and says so.
+/// A file that stops growing at [`LOG_BYTES`] with a note.
 #[derive(Debug)]
 struct Log {
     file: File,
@@ -58,8 +57,8 @@ struct Log {
 }
 
 impl Log {
-    /// The log is a help for reading afterwards: a full disk must not change the outcome here,
-    /// the artifacts' own writes report it.
+    /// The log is only for later reading: a full disk must not change the outcome here; writing the
+    /// artifacts reports it.
     fn write(&mut self, bytes: &[u8]) {
         if self.left == 0 {
             return;
@@ -73,7 +72,7 @@ impl Log {
     }
 }
 
-/// A command that ended by itself.
+/// A command that exited on its own.
 #[derive(Debug)]
 pub(super) struct Finished {
     pub status: ExitStatus,
@@ -81,12 +80,12 @@ pub(super) struct Finished {
 }
 
 impl Finished {
-    /// What it wrote, standard output and error as they came, at most the last 64 KiB.
+    /// The output, standard output and error interleaved, at most the last 64 KiB.
     pub fn text(&self) -> String {
         String::from_utf8_lossy(&self.tail.iter().copied().collect::<Vec<_>>()).into_owned()
     }
 
-    /// The error that this end amounts to.
+    /// The error for this exit status.
     pub fn failure(&self, command: &str) -> PosesError {
         let text = self.text();
         let lines: Vec<&str> = text.lines().filter_map(message).collect();
@@ -97,7 +96,7 @@ impl Finished {
 }
 
 impl Runner {
-    /// For `program`, with its output appended to `log`.
+    /// A runner of `program`, with its output appended to `log`.
     pub fn new(program: &Path, limits: Limits, log: Option<&Path>) -> Result<Self, PosesError> {
         let open = |path: &Path| {
             let file = File::create(path).map_err(PosesError::io(path))?;
@@ -117,7 +116,7 @@ impl Runner {
         })
     }
 
-    /// A line of ours in the log.
+    /// Writes our own line to the log.
     pub fn note(&self, line: &str) {
         self.log_bytes(format!("{line}\n").as_bytes());
     }
@@ -128,11 +127,11 @@ impl Runner {
         }
     }
 
-    /// Runs `program command arguments` to its end, however it ends.
+    /// Runs `program command arguments` until it exits, successfully or not.
     ///
     /// # Errors
     /// [`PosesError::Missing`], [`PosesError::Timeout`], [`PosesError::Cancelled`]. In the last two
-    /// the whole process group has been killed and reaped.
+    /// cases the whole process group has been killed and reaped.
     pub fn run(
         &self,
         command: &str,
@@ -155,7 +154,7 @@ impl Runner {
             program: self.program.display().to_string(),
             reason: source.to_string(),
         };
-        // `help` is asked first and runs bare, so that a missing program is the system's own error.
+        // `help` runs first and directly, so a missing program gives the system's own error.
         let mut process = if self.setpriv && command != "help" {
             let mut process = Command::new("setpriv");
             process.args(["--pdeathsig", "KILL", "--"]).arg(&self.program);
@@ -168,7 +167,7 @@ impl Runner {
         Group::spawn(&mut process).map_err(missing)
     }
 
-    /// Follows the child until it ends.
+    /// Watches the child until it exits.
     fn watch(
         &self,
         command: &str,
@@ -213,7 +212,7 @@ impl Runner {
         }
     }
 
-    /// What was written before the end and not yet read. Bounded in time, because a grandchild
+    /// The output written before the exit and not yet read. Limited in time, because a grandchild
     /// that left the group could hold the pipe open.
     fn drain(&self, output: &Receiver<Vec<u8>>, tail: &mut VecDeque<u8>) {
         let start = Instant::now();
@@ -230,8 +229,8 @@ impl Runner {
     }
 }
 
-/// The message of a line of output, without the prefix of the glog library; `None` for a line
-/// without words and for those of a stack trace.
+/// The message in a line of output, without the prefix of the glog library; `None` for a line
+/// without words and for stack traces.
 fn message(line: &str) -> Option<&str> {
     let line = line.trim();
     let has_words = line.contains(char::is_alphanumeric);
@@ -240,7 +239,7 @@ fn message(line: &str) -> Option<&str> {
         && line[1..].starts_with(|c: char| c.is_ascii_digit());
     match line.split_once("] ") {
         _ if is_trace => None,
-        Some((_, said)) if is_logged => Some(said),
+        Some((_, message)) if is_logged => Some(message),
         _ => Some(line),
     }
 }
@@ -251,7 +250,7 @@ fn keep(tail: &mut VecDeque<u8>, bytes: &[u8]) {
     tail.drain(..excess);
 }
 
-/// Both streams through one bounded channel. The readers end with the pipes.
+/// Both streams through one bounded channel. The readers end when the pipes close.
 fn read_output(child: &mut Group) -> Receiver<Vec<u8>> {
     fn forward(stream: Option<impl Read + Send + 'static>, sender: SyncSender<Vec<u8>>) {
         let Some(mut stream) = stream else { return };
@@ -280,7 +279,7 @@ mod tests {
         let text = "F0503 12:00:00.000000  77 sift.cc:12] Check failed: size > 0\n\
                     *** Check failure stack trace: ***\n    @     0x7f00 google::LogMessage::Fail()\n\n====\n\
                     [mapper] Images: 3";
-        let said: Vec<&str> = text.lines().filter_map(message).collect();
-        assert_eq!(said, ["Check failed: size > 0", "[mapper] Images: 3"]);
+        let messages: Vec<&str> = text.lines().filter_map(message).collect();
+        assert_eq!(messages, ["Check failed: size > 0", "[mapper] Images: 3"]);
     }
 }

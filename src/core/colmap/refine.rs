@@ -1,7 +1,8 @@
-//! Given poses, refined: phones write where they think they were, a few degrees and per cent off.
+//! Refines given poses: phones record approximate poses, a few degrees and per cent off.
 //!
-//! Poses are found as for any capture, by matches and bundle adjustment, and brought into the given
-//! world, whose scale and axes stay. Where the given ones fit the matches as well they stand.
+//! Poses are found as for any capture, by matches and bundle adjustment, and transformed to the
+//! given world, whose scale and axes stay. If the given ones fit the matches as well, they are
+//! kept.
 
 use super::candidate::Evidence;
 use super::consistency::Consistency;
@@ -13,13 +14,13 @@ use crate::poses::align::Similarity;
 use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
 use crate::poses::{Lens, PoseStatus, PoseView, PosedView, Poses, PosesError};
 
-/// Given poses that fit so large a share of the matches that found ones fit are as good: the found
-/// ones were made to fit them.
+/// Given poses that fit this share of the matches that the found ones fit are as good: the found
+/// ones were optimised to fit them.
 const AS_GOOD: f64 = 0.9;
 
 impl Search<'_> {
-    /// Poses in the world of the `given` ones, of all views that have one or were found; `None`
-    /// where the given ones stand.
+    /// Poses in the world of the `given` ones, for all views that have one or were found; `None` if
+    /// the given ones are kept.
     pub fn refine(
         &self,
         given: &[PosedView],
@@ -68,7 +69,7 @@ impl Search<'_> {
     }
 }
 
-/// Found poses in the given world, and those of the given ones that were not found.
+/// Found poses in the given world, and the given poses of views that were not found.
 fn in_world(poses: Poses, world: &Similarity, given: &[PosedView], all: &[PoseView]) -> Poses {
     let mut poses = poses;
     for view in &mut poses.views {
@@ -83,7 +84,7 @@ fn in_world(poses: Poses, world: &Similarity, given: &[PosedView], all: &[PoseVi
             poses.verdict_of(&view.name).status = PoseStatus::Given;
         }
     }
-    // The given poses hold together what no matches connect.
+    // The given poses connect views that no matches connect.
     poses.parts.clear();
     poses.views.sort_by_key(|view| all.iter().position(|asked| asked.name == view.name));
     poses.registered = poses.views.len();

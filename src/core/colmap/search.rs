@@ -1,4 +1,4 @@
-//! The search: each strategy is tried only when the ones before gave no good model.
+//! The search: each strategy is tried only if the previous ones gave no good model.
 
 use std::path::Path;
 
@@ -16,13 +16,13 @@ use crate::poses::matching::Matching;
 use crate::poses::model::SparseModel;
 use crate::poses::{PoseRequest, Poses, PosesError, in_words};
 
-/// Two views give a depth but no check of it.
+/// Two views determine a depth but cannot check it.
 pub(super) const MIN_VIEWS: usize = 3;
 
-/// Above this many photographs all pairs are too many: neighbours in the capture's order.
+/// Above this number matching all pairs takes too long: match neighbours in the capture's order.
 const MOST_EXHAUSTIVE: usize = 150;
 
-/// One search for a good model.
+/// A search for a good model.
 pub(super) struct Search<'a> {
     runner: &'a Runner,
     prober: Prober<'a>,
@@ -41,7 +41,7 @@ impl<'a> Search<'a> {
         Self { runner, prober: Prober::new(runner), request, acceptance, matching }
     }
 
-    /// Tries strategies until a model is accepted, and takes the best.
+    /// Tries strategies until a model is accepted, and returns the best.
     pub fn run(
         &self,
         sink: &mut dyn ProgressSink,
@@ -55,7 +55,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The photographs as the learned strategies and most of COLMAP's own see them.
+    /// The copies used by the learned strategies and most of COLMAP's own.
     pub(super) fn small_copies(
         &self,
         sink: &mut dyn ProgressSink,
@@ -68,7 +68,7 @@ impl<'a> Search<'a> {
         Ok(small)
     }
 
-    /// The best of the strategies that were needed; `None` where none gave a model.
+    /// The best result of the strategies tried; `None` if none gave a model.
     pub(super) fn best(
         &self,
         evidence: &mut Evidence<'_>,
@@ -95,9 +95,9 @@ impl<'a> Search<'a> {
         {
             let accepted = best.as_ref().filter(|best| best.accepted);
             let is_enough = |best: &Candidate| match strategy.letter {
-                // Where the shake is small COLMAP's own points are finer than learned ones.
+                // With little shake COLMAP's own points are finer than learned ones.
                 'A' => false,
-                // Mapping again is cheap, so a good model that lacks a photograph still tries.
+                // Mapping again is cheap, so also try if a good model lacks a photograph.
                 'B' => best.believed() == total,
                 _ => true,
             };
@@ -123,7 +123,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// One strategy; `None` when nothing registered.
+    /// One strategy; `None` if nothing registered.
     fn attempt(
         &self,
         strategy: &Strategy,
@@ -154,7 +154,7 @@ impl<'a> Search<'a> {
         Ok(self.weigh(strategy.letter, model, copies, evidence, sink))
     }
 
-    /// A strategy's model as a candidate, told in the log.
+    /// Turns a strategy's model into a candidate, and logs it.
     pub(super) fn weigh(
         &self,
         strategy: char,
@@ -193,7 +193,7 @@ impl<'a> Search<'a> {
     }
 
     fn seed(&self, letter: char) -> Setting {
-        // A fresh attempt with the same seed might repeat the failure.
+        // Another attempt with the same seed might repeat the failure.
         let attempt = u64::from(u32::from(letter));
         set(options::RANDOM_SEED, &(self.request.seed.wrapping_add(attempt) % (1 << 31)))
     }
@@ -204,7 +204,7 @@ impl<'a> Search<'a> {
         copies: &Copies,
         database: &Path,
     ) -> Result<Vec<Setting>, PosesError> {
-        // A database of an earlier, killed run may be locked or half full.
+        // The database of an earlier, killed run may be locked or incomplete.
         remove_if_there(database)?;
         let share = if copies.one_camera {
             set(&["ImageReader.single_camera"], &1)
@@ -245,7 +245,7 @@ impl<'a> Search<'a> {
         self.succeed("feature_extractor", &settings, cancel)
     }
 
-    /// Matches of strategy A.
+    /// Matches for strategy A.
     pub(super) fn match_features(
         &self,
         database: &Path,
@@ -274,7 +274,7 @@ impl<'a> Search<'a> {
         self.succeed(command, &settings, cancel)
     }
 
-    /// The largest model of the mapper; `None` when it found no start.
+    /// The largest model of the mapper; `None` if it found no initial pair.
     pub(super) fn map(
         &self,
         mapping: Mapping,
@@ -321,7 +321,7 @@ impl<'a> Search<'a> {
         if finished.status.success() { Ok(()) } else { Err(finished.failure(command)) }
     }
 
-    /// Whether the matches speak for enough of the photographs.
+    /// Whether the matches support enough of the photographs.
     fn believes(&self, consistency: &Consistency) -> bool {
         let (believed, total) = (consistency.believed().len(), self.request.views.len());
         believed >= MIN_VIEWS && believed as f64 >= self.acceptance.registered * total as f64
@@ -329,7 +329,7 @@ impl<'a> Search<'a> {
 
     fn accepts(&self, model: &SparseModel) -> bool {
         let (registered, total) = (model.images.len() as f64, self.request.views.len() as f64);
-        // Of fewer than ten photographs a point cannot be seen by many: 2 for two of them.
+        // Points in fewer than ten photographs have short tracks: 2 with two photographs.
         let track =
             self.acceptance.track.min(2.0 + (self.acceptance.track - 2.0) * (total - 2.0) / 8.0);
         registered >= self.acceptance.registered * total
@@ -370,7 +370,7 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// The names of the photographs that hang together, where no matches connect all.
+    /// The names of the connected photographs, if matches do not connect all.
     fn parts(&self, evidence: &Evidence<'_>) -> Vec<Vec<String>> {
         let connected = evidence.found.as_ref().map(groups::connected);
         let mut parts = connected.unwrap_or_default();

@@ -1,19 +1,19 @@
-//! The fallback strategies, and when a model of one is good enough.
+//! The fallback strategies, and the criteria for a good model.
 
 use super::copies::Kind;
 use crate::event::{Event, ProgressSink, Stage};
 
-/// When a model is good enough. Fitted on runs of real captures: loosened options register
-/// photographs with wrong poses, and the reprojection error does not show it.
+/// Criteria for a good model. Fitted to runs of real captures: looser options register photographs
+/// with wrong poses, and the reprojection error does not show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Acceptance {
-    /// Least share of the photographs that must register.
+    /// Smallest share of the photographs that must register.
     pub registered: f64,
-    /// Least observations (members of tracks) a registered photograph.
+    /// Smallest number of observations (track members) per registered photograph.
     pub observations: f64,
-    /// Least mean track length.
+    /// Smallest mean track length.
     pub track: f64,
-    /// Least share that is still delivered, with a warning, when no strategy was good enough.
+    /// Smallest share that is still returned, with a warning, if no strategy was good enough.
     pub salvage: f64,
 }
 
@@ -23,7 +23,7 @@ impl Default for Acceptance {
     }
 }
 
-/// The strategies of learned matches are this letter and those after it.
+/// The strategies with learned matches have this letter and those after it.
 pub(super) const FIRST_LEARNED: char = 'L';
 
 /// Settings of one strategy.
@@ -32,17 +32,17 @@ pub(super) struct Strategy {
     pub(super) letter: char,
     /// The strategy whose features and matches are mapped.
     pub(super) database: char,
-    /// The copies that features are found in.
+    /// The copies from which features are extracted.
     pub(super) copies: Kind,
     /// Affine shapes, domain-size pooling, a lower peak threshold: for images with few features.
     pub(super) robust_features: bool,
     pub(super) loose_mapper: bool,
-    /// Whether it is tried where the matches of networks gave no good model, too: what the others
-    /// cost brought nothing there.
+    /// Whether it is tried even after the networks' matches gave no good model: the other
+    /// strategies did not help there despite their cost.
     pub(super) beside_networks: bool,
 }
 
-/// COLMAP's own features, in the order in which they are tried.
+/// Strategies with COLMAP's own features, in the order in which they are tried.
 pub(super) const STRATEGIES: [Strategy; 6] = [
     Strategy {
         letter: 'A',
@@ -94,16 +94,16 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
 ];
 
-/// How COLMAP's mapper is run.
+/// How to run COLMAP's mapper.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mapping {
     /// The strategy.
     pub letter: char,
-    /// With lower bounds on what a place needs.
+    /// With lower minimums for placing a photograph.
     pub loose: bool,
 }
 
-/// Progress in thirds of a strategy; the total grows with each strategy that is needed.
+/// Progress in thirds of a strategy; the total grows with each strategy tried.
 pub(super) fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
     let strategies_before =
         STRATEGIES.iter().take_while(|strategy| strategy.letter != letter).count() as u64;

@@ -1,5 +1,5 @@
-//! COLMAP that is missing, broken, slow, wrong or newer: shell scripts stand in for it. What the
-//! real one reaches is measured on captures, where they are there.
+//! COLMAP when it is missing, broken, slow, wrong or newer, replaced by shell scripts. The real one
+//! is measured on captures, if available.
 
 mod captures;
 mod hangs;
@@ -16,8 +16,8 @@ use crate::mask::{MaskPicture, Masking};
 use crate::photo_path::PhotoPath;
 use crate::poses::PoseView;
 
-/// A stand-in for COLMAP: `help` and `-h` are answered, all else is up to `body`, a shell
-/// fragment that sees the command as `$1` and the value of `--output_path` as `$out`.
+/// A stub for COLMAP: `help` and `-h` are answered; everything else is up to `body`, a shell
+/// fragment with the command as `$1` and the value of `--output_path` as `$out`.
 const PRELUDE: &str = r#"#!/bin/sh
 case "$1" in help) echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0;; esac
 if [ "$2" = "-h" ]; then
@@ -31,7 +31,7 @@ command="$1"; all="$*"; out=
 while [ $# -gt 0 ]; do [ "$1" = --output_path ] && out="$2"; shift; done
 "#;
 
-/// Shell: a model of `$2` images and three points each seen by `$3` of them into `$1`.
+/// Shell: writes to `$1` a model of `$2` images and three points, each seen by `$3` of them.
 const MODEL: &str = r#"
 model() {
   mkdir -p "$1"
@@ -104,7 +104,7 @@ impl Scene {
 }
 
 #[test]
-fn a_good_model_of_strategy_a_is_taken_at_the_originals_size() {
+fn a_good_model_of_strategy_a_is_used_at_the_originals_size() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
     let mut stages = Vec::new();
     let mut sink = |event: &Event| {
@@ -155,7 +155,7 @@ fn known_poses_are_triangulated_at_the_copies_size() {
 }
 
 #[test]
-fn the_gpu_is_never_asked_for() {
+fn the_gpu_is_never_requested() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
     scene.poses().unwrap();
     let log = scene.log();
@@ -166,7 +166,7 @@ fn the_gpu_is_never_asked_for() {
 }
 
 #[test]
-fn newer_option_names_are_used_where_the_help_lists_them() {
+fn newer_option_names_are_used_if_the_help_lists_them() {
     let body = r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#;
     let scene = Scene::new(10, body);
     let newer = PRELUDE
@@ -185,7 +185,7 @@ fn newer_option_names_are_used_where_the_help_lists_them() {
 }
 
 #[test]
-fn the_largest_model_is_taken_and_never_the_first_blindly() {
+fn the_largest_model_is_used_even_if_it_is_not_the_first() {
     let body = r#"[ $command = mapper ] && { model "$out/0" 4 4; model "$out/1" 10 10; }; exit 0"#;
     assert_eq!(Scene::new(10, body).poses().unwrap().registered, 10);
 }
@@ -196,7 +196,7 @@ fn a_poor_first_strategy_leads_to_the_next() {
 if [ $command = mapper ]; then
   case "$all" in *init_min_tri_angle*) model "$out/0" 10 10;; *) model "$out/0" 4 4;; esac
 fi; exit 0"#;
-    // The option must be listed in the help to be sent.
+    // An option is sent only if the help lists it.
     let scene = Scene::new(10, body);
     let script = PRELUDE.replace(
         "--random_seed arg (=0)\\n",
@@ -219,14 +219,14 @@ fn few_registered_photographs_are_named_with_advice() {
 }
 
 #[test]
-fn a_doubtful_model_is_delivered_and_marked() {
+fn a_doubtful_model_is_returned_and_marked() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 7 2; exit 0"#);
     let poses = scene.poses().unwrap();
     assert!(poses.low_confidence && poses.registered == 7);
 }
 
 #[test]
-fn a_mapper_that_finds_no_start_is_data_and_not_a_fault() {
+fn a_mapper_without_an_initial_pair_is_not_a_fault() {
     let scene = Scene::new(
         5,
         "[ $command = mapper ] && { echo 'ERROR: failed to create sparse model' >&2; exit 1; }; exit 0",
@@ -235,7 +235,7 @@ fn a_mapper_that_finds_no_start_is_data_and_not_a_fault() {
 }
 
 #[test]
-fn a_crash_is_told_with_its_signal_and_last_words() {
+fn a_crash_is_reported_with_its_signal_and_last_output() {
     let scene = Scene::new(
         5,
         "[ $command = exhaustive_matcher ] && { echo last words; kill -SEGV $$; }; exit 0",
@@ -253,7 +253,7 @@ fn a_crash_is_told_with_its_signal_and_last_words() {
 }
 
 #[test]
-fn a_program_that_is_not_there_is_missing() {
+fn an_absent_program_is_missing() {
     let scene = Scene::new(5, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
@@ -262,7 +262,7 @@ fn a_program_that_is_not_there_is_missing() {
 }
 
 #[test]
-fn two_photographs_are_too_few_before_anything_is_run() {
+fn two_photographs_are_rejected_before_anything_runs() {
     let scene = Scene::new(2, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
@@ -291,7 +291,7 @@ fn colmap_gets_the_masks_of_the_photographs() {
 }
 
 #[test]
-fn the_photographs_as_they_are_come_last() {
+fn the_unprocessed_photographs_come_last() {
     let body =
         r#"[ $command = mapper ] && case "$out" in *-G) model "$out/0" 10 10;; esac; exit 0"#;
     let scene = Scene::new(10, body);

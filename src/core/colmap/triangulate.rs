@@ -1,4 +1,4 @@
-//! Sparse points for views whose poses are known: COLMAP's features and matches, triangulated.
+//! Sparse points for views with known poses: COLMAP's features and matches, triangulated.
 
 use super::copies::{Copies, Kind};
 use super::options::{self, masks, set};
@@ -8,8 +8,8 @@ use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
 use crate::poses::{Lens, PoseView, PosedView, PosesError, SparsePoint};
 
 impl Search<'_> {
-    /// Points that the features of strategy A's copies of `posed` (a part of the request's views,
-    /// in its order) give at their known poses; none where nothing matches.
+    /// Points from the features of strategy A's copies of `posed` (a subset of the request's views,
+    /// in its order) at their known poses; none if nothing matches.
     pub fn triangulate(
         &self,
         posed: &[PosedView],
@@ -39,7 +39,7 @@ impl Search<'_> {
         Ok(SparseModel::read(&output)?.sparse_points())
     }
 
-    /// Features; each photograph has a camera of its own, whose lens the model says.
+    /// Extracts features; each photograph has its own camera, with the lens from the model.
     fn extract_known(
         &self,
         copies: &Copies,
@@ -63,7 +63,7 @@ impl Search<'_> {
 }
 
 /// The poses as a model without points, at the size of the copies. Identifiers follow the order of
-/// the files' names, as the database's do.
+/// the file names, as in the database.
 fn known_model(posed: &[PosedView], copies: &Copies) -> SparseModel {
     let mut rows: Vec<_> = copies.copies.iter().zip(posed).collect();
     rows.sort_by(|a, b| a.0.file.cmp(&b.0.file));

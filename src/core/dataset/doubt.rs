@@ -1,37 +1,37 @@
-//! Given poses that can be used, and are unlikely to be right.
+//! Given poses that are usable but unlikely to be right.
 
 use super::given_view::GivenView;
 use super::upright::Upright;
 use crate::poses::{Distortion, Lens, PosedView, SparsePoint};
 
-/// Shortest focal length of a lens that is no fisheye, in long sides: it sees 136 degrees.
+/// Shortest focal length of a lens that is not a fisheye, in long sides: a view of 136 degrees.
 const SHORTEST: f64 = 0.2;
 
 /// Longest focal length, in long sides.
 const LONGEST: f64 = 20.0;
 
-/// By how much of a side the principal point may lie beside the middle: a lens that is shifted as
-/// far as those for buildings are has less.
+/// Largest offset of the principal point from the centre, as a share of a side: even shift lenses
+/// for architecture stay below it.
 const ASIDE: f64 = 0.3;
 
-/// How much of the width a distortion leaves at least.
+/// Smallest share of the width that a distortion may leave.
 const LEAST_SHARE: f64 = 0.6;
 
-/// By how much a picture of a pose may be larger or smaller than the photograph, so that it may be
-/// another cut of it: photographs that are made smaller on purpose become much smaller.
+/// Largest size ratio of a pose's picture and the photograph at which it may be another crop:
+/// photographs that are downscaled on purpose become much smaller.
 const NEAR: f64 = std::f64::consts::SQRT_2;
 
-/// Rounding of sides, px, over several changes of size.
+/// Rounding of sides, px, over several resizes.
 const ROUNDING: usize = 2;
 
-/// Fewer points do not show where a view looks.
+/// With fewer points, they do not show where a view looks.
 const LEAST_POINTS: usize = 50;
 
-/// Mean error of triangulated points, px of the pose copies, over which matches do not fit the
-/// poses if most points have two views, the fewest that a point can have. On two real captures with
-/// right poses, bright and dark, 0.10 to 0.21 of the points have two and the error is 0.65 to 1.04;
-/// of three views all have two, and it is 0.33 to 0.71. With inverted poses, x y z w for w x y z or
-/// a principal point in the corner 0.53 or more have two, and it is 1.24 or more.
+/// Mean error of triangulated points, px of the pose copies, above which matches do not fit the
+/// poses if most points have two views, the minimum for a point. On two real captures with correct
+/// poses, bright and dark, 0.10 to 0.21 of the points have two and the error is 0.65 to 1.04; with
+/// three views all have two, and it is 0.33 to 0.71. With inverted poses, x y z w for w x y z or a
+/// principal point in the corner, 0.53 or more have two, and it is 1.24 or more.
 const WORST_FIT: f64 = 1.15;
 
 /// Doubts about a lens.
@@ -66,7 +66,7 @@ pub(super) fn doubt_of_lens(lens: &Lens) -> Option<String> {
     })
 }
 
-/// Doubts about the size of the picture that a pose was computed on.
+/// Doubts about the picture size for which a pose was computed.
 pub(super) fn doubt_of_size(given: &GivenView, upright: &Upright) -> Option<String> {
     let k = &upright.lens.intrinsics;
     let (given, stored) = (given.lens.size()?, upright.turn.size((k.width, k.height)));
@@ -83,7 +83,7 @@ pub(super) fn doubt_of_size(given: &GivenView, upright: &Upright) -> Option<Stri
     })
 }
 
-/// Doubts about a view, by the points that came with the poses.
+/// Doubts about a view, based on the points supplied with the poses.
 pub(super) fn doubt_of_points(view: &PosedView, points: &[SparsePoint]) -> Option<String> {
     let mut shown = points.iter();
     let is_blind = points.len() >= LEAST_POINTS
@@ -95,7 +95,7 @@ pub(super) fn doubt_of_points(view: &PosedView, points: &[SparsePoint]) -> Optio
     })
 }
 
-/// Doubts about poses at which matches were triangulated.
+/// Doubts about the poses used for triangulation.
 pub(super) fn doubt_of_fit(points: &[SparsePoint]) -> Option<String> {
     let count = points.len();
     let of_two = points.iter().filter(|point| point.track <= 2).count();

@@ -1,4 +1,4 @@
-//! Random points where the cameras look, for poses that came without points.
+//! Random points in the view of the cameras, for poses without points.
 
 use glam::{DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -8,11 +8,11 @@ use crate::camera::Camera;
 use crate::camera::normalisation::viewing_distance;
 use crate::poses::SparsePoint;
 
-/// How often a point is drawn again until two cameras see it.
+/// Maximum draws for a point until two cameras see it.
 const DRAWS: usize = 20;
 
-/// `count` points in the union of the frusta, uniform in inverse depth and over each image, that
-/// at least two cameras see where that can be had. Mid-grey: nobody has looked at the photographs.
+/// `count` points in the union of the frusta, uniform in inverse depth and over each image, seen by
+/// at least two cameras where possible. Mid-grey, as the photographs have not been read.
 pub(super) fn guess(
     cameras: &[Camera],
     bounds: &[Option<(f64, f64)>],
@@ -51,8 +51,8 @@ fn sees(camera: &Camera, point: DVec3) -> bool {
     camera.project(point).is_some_and(|(pixel, _)| inside(pixel))
 }
 
-/// Depths around the point that all cameras look at, or, where they look in parallel, around
-/// twice the extent of the cameras.
+/// Depths around the point that all cameras look at or, if they look in parallel, around twice the
+/// extent of the cameras.
 fn depth_range(cameras: &[Camera]) -> (f64, f64) {
     let distance = viewing_distance(cameras);
     let middle = if distance > 0.0 { distance } else { 1.0 };

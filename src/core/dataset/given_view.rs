@@ -1,4 +1,4 @@
-//! What every format tells of one view.
+//! The common contents of a view in all formats.
 
 use crate::camera::Intrinsics;
 use crate::poses::{Distortion, Lens};
@@ -6,28 +6,28 @@ use crate::poses::{Distortion, Lens};
 /// The lens of a view, as a format gives it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum GivenLens {
-    /// Of pictures of its own size.
+    /// For pictures with their own size.
     Sized(Lens),
-    /// Of pictures whose size is not told: the photographs themselves.
+    /// For pictures without a given size: the photographs themselves.
     OfPhotograph {
         focal: Focal,
-        /// Pixels; the middle where it is not told.
+        /// Pixels; the centre if not given.
         centre: [Option<f64>; 2],
         distortion: Distortion,
     },
 }
 
-/// A focal length without the size of a picture.
+/// A focal length without a picture size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Focal {
-    /// To the right and down.
+    /// Horizontal and vertical.
     Pixels([f64; 2]),
-    /// How wide and how high the picture is, radians; pixels are square where one is not told.
+    /// Horizontal and vertical field of view, radians; pixels are square if one is not given.
     Angles([Option<f64>; 2]),
 }
 
 impl GivenLens {
-    /// The size of its pictures, px, where it is told.
+    /// The size of its pictures, px, if given.
     pub(super) fn size(&self) -> Option<(usize, usize)> {
         match self {
             Self::Sized(lens) => Some((lens.intrinsics.width, lens.intrinsics.height)),
@@ -35,7 +35,7 @@ impl GivenLens {
         }
     }
 
-    /// The lens of a photograph of this size, pixels.
+    /// The lens for a photograph of this size, pixels.
     pub(super) fn at(&self, width: usize, height: usize) -> Lens {
         match *self {
             Self::Sized(lens) => {
@@ -72,13 +72,13 @@ impl From<Lens> for GivenLens {
     }
 }
 
-/// A pose with the lens it was given with.
+/// A pose with its given lens.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct GivenView {
     pub(super) lens: GivenLens,
     pub(super) world_to_camera: glam::DMat4,
-    /// Nearest and farthest depth, where the format tells.
+    /// Nearest and farthest depth, if the format has them.
     pub(super) bounds: Option<(f64, f64)>,
-    /// Whether the format keeps it from training.
+    /// Whether the format holds it out from training.
     pub(super) held_out: bool,
 }

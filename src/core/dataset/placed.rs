@@ -1,4 +1,4 @@
-//! Given poses at their photographs.
+//! Given poses assigned to their photographs.
 
 use std::collections::HashMap;
 
@@ -14,24 +14,24 @@ use crate::photo_path::PhotoPath;
 use crate::poses::turn::mirror;
 use crate::poses::{LeftOut, PoseView, PosedView, PosesError, SparsePoint};
 
-/// Given poses in the upright photographs' pixels.
+/// Given poses in pixels of the upright photographs.
 #[derive(Default)]
 pub(super) struct Placed {
     pub(super) views: Vec<PosedView>,
     pub(super) bounds: Vec<Option<(f64, f64)>>,
-    /// Names of the views that the poses keep from training.
+    /// Names of the views that the poses hold out from training.
     pub(super) held_out: Vec<String>,
-    /// Names of the photographs with which the poses were turned, and of those of them whose sizes
-    /// do not tell that they had to be.
+    /// Names of the photographs whose poses were rotated with them, and those of them whose sizes
+    /// do not prove that this was necessary.
     pub(super) turned: Vec<String>,
     pub(super) assumed: Vec<String>,
-    /// What is taken as it is, and is unlikely to be right.
+    /// Poses used unchanged that are unlikely to be right.
     pub(super) doubts: Vec<LeftOut>,
 }
 
 impl Placed {
-    /// Where all photographs were mirrored, so was the world that they were computed in, and
-    /// `given.points` with it: both become what they are. Of some photographs it cannot be.
+    /// If all photographs were mirrored, so was the world in which they were computed, including
+    /// `given.points`: both are mirrored back. This is impossible if only some were.
     pub(super) fn of(
         photographs: &[PoseView],
         of_photograph: &HashMap<&PhotoPath, &GivenView>,

@@ -1,4 +1,4 @@
-//! What each format holds.
+//! The contents of each format.
 
 use std::path::Path;
 
@@ -41,7 +41,7 @@ pub(super) fn poses_bounds(file: &Path) -> Result<(Assignment, Given), PosesErro
     let view = |row: &BoundedCamera| GivenView {
         lens: Lens { intrinsics: row.camera.intrinsics, distortion: Distortion::None }.into(),
         world_to_camera: row.camera.world_to_camera,
-        // They only tell where points may be.
+        // Used only as the range for points.
         bounds: Some((row.near, row.far))
             .filter(|(near, far)| *near > 0.0 && far > near && far.is_finite()),
         held_out: false,

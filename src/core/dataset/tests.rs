@@ -12,15 +12,15 @@ use crate::image::{Image, Srgb};
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::{ModelCamera, ModelImage};
 
-/// A pose as `transforms.json` has it: rows of OpenGL's camera to world.
+/// A pose as in `transforms.json`: rows of OpenGL's camera to world.
 fn flipped(world_to_camera: &DMat4) -> [[f64; 4]; 4] {
     let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
     let camera_to_world = world_to_camera.inverse() * flip;
     camera_to_world.transpose().to_cols_array_2d()
 }
 
-/// The poses of a file, and what is said about them beside guessed points.
-fn told(
+/// The poses of a file, and the warnings except about guessed points.
+fn poses_and_warnings(
     file: &Path,
     views: &[PoseView],
     work_dir: &Path,
@@ -45,7 +45,7 @@ struct Capture {
     cameras: Vec<Camera>,
 }
 
-/// Four photographs of 40x30 whose poses are given for 80x60.
+/// Four photographs of 40x30 with poses for 80x60.
 fn capture() -> Capture {
     let dir = tempfile::tempdir().unwrap();
     let image: Image<Srgb> = Image::new(40, 30);
@@ -119,7 +119,7 @@ fn a_colmap_model_gives_its_poses_and_points_by_name() {
     };
     let model = SparseModel {
         cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
-        // Out of order on purpose.
+        // Deliberately out of order.
         images: capture.cameras.iter().enumerate().map(image).rev().collect(),
         points: vec![crate::poses::model::ModelPoint {
             id: 1,
@@ -154,7 +154,7 @@ fn a_pose_that_is_off_by_a_millionth_is_not_right() {
 }
 
 #[test]
-fn transforms_json_has_opengl_axes() {
+fn transforms_json_uses_opengl_axes() {
     let capture = capture();
     let frame = |(i, camera): (usize, &Camera)| {
         let matrix = flipped(&camera.world_to_camera);
@@ -172,14 +172,14 @@ fn transforms_json_has_opengl_axes() {
     }
 }
 
-/// The poses of a file, refined by somebody who swaps the first two, with the focal lengths he saw.
+/// The poses of a file, refined by swapping the first two, with the focal lengths passed to it.
 fn refined(capture: &Capture, file: &str, fails: bool) -> (Poses, Vec<Option<f64>>, Vec<String>) {
     let seen = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
-    let (told, mut warned) = (seen.clone(), Vec::new());
+    let (passed, mut warned) = (seen.clone(), Vec::new());
     let given = GivenPoses::open(&capture.dir.path().join(file), &capture.paths()).unwrap();
     let sfm = given.refined_by(Box::new(move |request, views, _, _| {
         let focals = request.views.iter().map(|view| view.focal_px);
-        told.lock().unwrap().extend(focals);
+        passed.lock().unwrap().extend(focals);
         if fails {
             return Err(PosesError::Matching { detail: "no such node".to_owned() });
         }
@@ -200,7 +200,7 @@ fn refined(capture: &Capture, file: &str, fails: bool) -> (Poses, Vec<Option<f64
 }
 
 #[test]
-fn poses_of_a_phone_are_refined_and_those_of_a_bundle_adjustment_are_not() {
+fn phone_poses_are_refined_and_bundle_adjusted_ones_are_not() {
     let capture = capture();
     let matrix = DMat4::IDENTITY.to_cols_array_2d();
     let frame =
@@ -221,7 +221,7 @@ fn poses_of_a_phone_are_refined_and_those_of_a_bundle_adjustment_are_not() {
 }
 
 #[test]
-fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
+fn a_frames_own_intrinsics_take_precedence_and_distortion_is_kept() {
     let capture = capture();
     let matrix = DMat4::IDENTITY.to_cols_array_2d();
     let frames: Vec<_> = (0..4)
@@ -243,7 +243,7 @@ fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
 }
 
 #[test]
-fn transforms_without_a_size_are_of_the_photographs() {
+fn transforms_without_a_size_use_the_photographs_size() {
     let capture = capture();
     let matrix = DMat4::IDENTITY.to_cols_array_2d();
     let frames: Vec<_> = (0..4)
@@ -267,7 +267,7 @@ fn transforms_without_a_size_are_of_the_photographs() {
         assert!((k.cx - if is_square { 20.0 } else { 19.0 }).abs() < 1e-9);
         assert!((k.cy - 15.0).abs() < 1e-9, "{optics}: {k:?}");
     }
-    // A size without the other, and no focal length at all, are no intrinsics.
+    // One size without the other, or no focal length at all, are not intrinsics.
     for optics in [
         serde_json::json!({ "fl_x": 35.0, "w": 40 }),
         serde_json::json!({ "cx": 20.0 }),
@@ -285,7 +285,7 @@ fn transforms_without_a_size_are_of_the_photographs() {
 }
 
 #[test]
-fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
+fn poses_bounds_are_matched_by_order_and_points_guessed_in_view_of_two_cameras() {
     let capture = capture();
     let file = capture.write_bounds();
     let mut codes = Vec::new();
@@ -315,7 +315,7 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
 }
 
 #[test]
-fn enough_triangulated_points_take_the_place_of_guessed_ones() {
+fn enough_triangulated_points_replace_guessed_ones() {
     let capture = capture();
     let file = capture.write_bounds();
     let request = capture.request();
@@ -346,7 +346,7 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
 }
 
 #[test]
-fn a_count_that_does_not_fit_the_photographs_is_refused() {
+fn a_count_that_differs_from_the_photographs_is_refused() {
     let capture = capture();
     let row = BoundedCamera { camera: capture.cameras[0], near: 2.0, far: 8.0 };
     write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &[row; 3]).unwrap();
@@ -355,7 +355,7 @@ fn a_count_that_does_not_fit_the_photographs_is_refused() {
 }
 
 #[test]
-fn names_that_fit_no_photograph_are_too_few_poses() {
+fn names_without_photographs_are_too_few_poses() {
     let capture = capture();
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();

@@ -19,22 +19,22 @@ use crate::poses::{PosesError, Rotation, rotation};
 use json::{Fields, Object};
 pub use masks::masks;
 
-/// How the names of the files go on where there is one for each split, and whether its views train.
+/// Suffixes of the file names if there is one per split, and whether its views train.
 const SPLITS: [(&str, bool); 3] = [("_train", true), ("_val", false), ("_test", false)];
 
-/// What the files hold.
+/// The contents of the files.
 #[derive(Default)]
 pub(super) struct Transforms {
-    /// The frames by their `file_path`; `None` for one that is left out.
+    /// The frames by `file_path`; `None` for a frame that is left out.
     pub(super) views: Vec<(PhotoPath, Option<GivenView>)>,
     pub(super) left_out: Vec<LeftOut>,
     pub(super) warnings: Vec<String>,
 }
 
-/// Reads a file, and those of the other splits beside it.
+/// Reads a file, and the other splits beside it.
 ///
 /// # Errors
-/// [`PosesError`] where a file cannot be read, or none of the frames can be used.
+/// [`PosesError`] if a file cannot be read, or no frame is usable.
 pub(super) fn read(file: &Path) -> Result<Transforms, PosesError> {
     let mut all = Transforms::default();
     let mut mended = Vec::new();
@@ -55,7 +55,7 @@ pub(super) fn read(file: &Path) -> Result<Transforms, PosesError> {
     Ok(all)
 }
 
-/// The file, or with a split in its name those of all splits, and whether their frames train.
+/// The file, or all splits if its name contains one, and whether their frames train.
 fn files(file: &Path) -> Result<Vec<(PathBuf, bool)>, PosesError> {
     let stem = |path: &Path| {
         let stem = path.file_stem().unwrap_or_default();
@@ -135,7 +135,7 @@ impl Transforms {
     }
 }
 
-/// The `file_path`s that nerfstudio's lists keep from training.
+/// The `file_path`s that nerfstudio's lists hold out from training.
 fn held_out(content: &Object) -> HashSet<&str> {
     let list = |key: &str| -> HashSet<&str> {
         let names = content.get(key).and_then(Value::as_array);
@@ -148,8 +148,8 @@ fn held_out(content: &Object) -> HashSet<&str> {
     names
 }
 
-/// Signs of the camera's axes against OpenCV's. OpenGL's go up and backward; instant-ngp
-/// and NeuS2 mark files with those of OpenCV and of Mitsuba, which go left and up.
+/// Signs of the camera's axes relative to OpenCV's. OpenGL's point up and backward; instant-ngp and
+/// NeuS2 mark files with OpenCV's axes and with Mitsuba's, which point left and up.
 fn flip(fields: &Fields<'_>) -> DVec3 {
     if fields.is_set("from_na") {
         DVec3::ONE
@@ -174,7 +174,7 @@ fn view(fields: &Fields<'_>) -> Result<(GivenView, Rotation), String> {
     Ok((view, rotation))
 }
 
-/// The camera's axes and its place.
+/// The camera's axes and position.
 fn pose(fields: &Fields<'_>) -> Result<(Rotation, DVec3), String> {
     let of = |what: &str| format!("`transform_matrix` {what}");
     let rows = fields.own("transform_matrix").and_then(Value::as_array);

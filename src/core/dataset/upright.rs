@@ -1,4 +1,4 @@
-//! Given poses and the pixels that they were computed on, brought to the upright photograph.
+//! Transforms given poses from the pixels of their computation to the upright photograph.
 
 use glam::DMat4;
 
@@ -7,27 +7,27 @@ use crate::image::Header;
 use crate::poses::Lens;
 use crate::poses::turn::Turn;
 
-/// By how much the sides of a photograph may differ from those of its camera in proportion, beside
-/// the rounding of a resize: less moves no pixel of a working size by one.
+/// Largest relative difference in proportions of a photograph and its camera, beyond rounding in a
+/// resize: less moves no pixel at a working size by one.
 const OTHER_SHAPE: f64 = 0.005;
 
-/// A given view in the upright photograph's pixels.
+/// A given view in pixels of the upright photograph.
 pub(super) struct Upright {
     pub(super) lens: Lens,
-    /// Of a left-handed camera where the turn mirrors.
+    /// Of a left-handed camera if the rotation mirrors.
     pub(super) world_to_camera: DMat4,
-    /// What was done to the stored pixels, for which the pose was given.
+    /// The rotation of the stored pixels, for which the pose was given.
     pub(super) turn: Turn,
-    /// Whether the sizes alone do not tell that the pose is one of the stored pixels.
+    /// Whether the sizes alone do not prove that the pose is for the stored pixels.
     pub(super) is_assumed: bool,
 }
 
-/// The view in the pixels of the photograph, whose size may differ from the one that the pose was
-/// computed at. Poses are those of the stored pixels, as COLMAP, which knows no orientation, has
-/// them, unless their size is that of the upright picture alone.
+/// The view in pixels of the photograph, whose size may differ from the size for which the pose was
+/// computed. Poses are for the stored pixels, as in COLMAP, which ignores orientation, unless their
+/// size matches only the upright picture.
 ///
 /// # Errors
-/// Why the pose is not one of this photograph.
+/// Why the pose does not fit this photograph.
 pub(super) fn upright(given: &GivenView, header: &Header) -> Result<Upright, String> {
     let turn = Turn::upright(header.orientation);
     let size = (header.width, header.height);
@@ -67,7 +67,7 @@ pub(super) fn upright(given: &GivenView, header: &Header) -> Result<Upright, Str
     ))
 }
 
-/// Whether one is the other resized, but for the rounding of the smaller one's sides.
+/// Whether one is the other resized, up to rounding of the smaller one's sides.
 fn is_of_shape(given: (usize, usize), photograph: (usize, usize)) -> bool {
     let (w, h) = (given.0 as f64, given.1 as f64);
     let (width, height) = (photograph.0 as f64, photograph.1 as f64);

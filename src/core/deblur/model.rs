@@ -63,7 +63,7 @@ impl Model {
         Self::read(&path_of(choice, folders)?)
     }
 
-    /// Checks that the files of a network that can be chosen by name are there, without reading its
+    /// Checks that the files of a network that can be chosen by name exist, without reading its
     /// weights.
     ///
     /// # Errors
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!((model.id.as_str(), model.golden), ("identity3.onnx", None));
     }
 
-    /// `cat external3.onnx weights/external3.data | sha256sum`, of the files that lie beside.
+    /// `cat external3.onnx weights/external3.data | sha256sum`, of the files beside the tests.
     #[test]
     fn the_digest_covers_the_weights_and_missing_ones_are_named() {
         let home = tempfile::tempdir().expect("temporary directory");

@@ -71,9 +71,9 @@ impl Onnx {
             Err(DeblurError::ModelUnusable { detail, .. })
                 if detail.contains("explicitly disabled") =>
             {
-                let said =
+                let warning =
                     "the CPU runs the parts of the network that CUDA does not support".to_owned();
-                Ok((on_cuda(false)?, Some(said)))
+                Ok((on_cuda(false)?, Some(warning)))
             }
             other => Ok((other?, None)),
         }
@@ -154,7 +154,7 @@ impl Onnx {
         self.run_padded(&view, guide, tile, width, height).map(drop).map_err(|e| self.unfit(e))
     }
 
-    /// A network that fails on the images of the self-test is no fault of the program.
+    /// A network that fails on the images of the self-test is not a fault of the program.
     fn unfit(&self, error: DeblurError) -> DeblurError {
         match error {
             DeblurError::Inference { width, height, detail, .. } => self.failed(format!(

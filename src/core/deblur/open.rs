@@ -40,8 +40,8 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
     // An unknown network is reported before a missing library.
     let model = Model::find(choice.as_str(), options.models)?;
     let runtime = runtime::load(options.runtime, options.search)?;
-    let (network, said) = Onnx::load(&runtime, &model, options.threads)?;
-    let mut fallbacks = Vec::from_iter(said);
+    let (network, warning) = Onnx::load(&runtime, &model, options.threads)?;
+    let mut fallbacks = Vec::from_iter(warning);
     let info = network.describe();
     if info.channels != 6 && !options.unguided {
         fallbacks.push(format!(

@@ -18,7 +18,7 @@ pub struct GpuScene {
     size: [usize; 2],
     /// The drawing of an image.
     drawing: Option<PassRecording>,
-    /// For [`Scene::render_shaken`], with a kernel of its own.
+    /// For [`Scene::render_shaken`], with its own kernel.
     shake: Option<(Shake, DeviceKernel)>,
 }
 

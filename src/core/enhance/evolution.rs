@@ -30,15 +30,16 @@ pub(super) struct Best {
 }
 
 impl Evolution {
-    /// That of the paper's curves: a population of 10 as SciPy counts it, for each parameter. The
-    /// tolerance is relative, strategy and crossover are SciPy's defaults.
+    /// The parameters of the paper's curves: a population of 10 per parameter, as SciPy counts it.
+    /// The tolerance is relative, strategy and crossover are SciPy's defaults.
     ///
     /// The paper does not say: whose differential evolution it uses. SciPy's also updates its
+    /// population in place, which no two threads can, and polishes the best point by L-BFGS-B.
     /// population in place, which no two threads can, and polishes the best point by L-BFGS-B.
     pub(super) const PAPER: Self =
         Self { population: 10 * DIMENSIONS, generations: 30, tolerance: 1e-4, crossover: 0.7 };
 
-    /// That of exposures: 10 in all find the two numbers of so smooth a function.
+    /// The parameters for exposures: 10 in total find the two numbers of so smooth a function.
     pub(super) const EXPOSURE: Self = Self { population: 10, ..Self::PAPER };
 
     /// Minimises `cost` over the unit square with strategy best1bin, F drawn from 0.5..1 for each

@@ -1,14 +1,14 @@
-//! Why there is no export.
+//! Why an export failed.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::gaussians::ply::PlyError;
 
-/// Why there is no export.
+/// Why an export failed.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// There is no picture of any view.
+    /// No view has a picture.
     #[error("{}: no pictures of views with a camera", .0.display())]
     NoPictures(PathBuf),
     /// The cameras cannot be read.
@@ -16,21 +16,21 @@ pub enum ExportError {
     Cameras {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: serde_json::Error,
     },
     /// The scene cannot be read.
     #[error(transparent)]
     Scene(#[from] PlyError),
-    /// Something that it is made of cannot be read.
+    /// One of its inputs cannot be read.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// What the system said.
+        /// The system's message.
         source: io::Error,
     },
-    /// Whoever takes it takes no more.
+    /// The recipient accepts no more data.
     #[error("it cannot be written: {0}")]
     Write(io::Error),
 }
@@ -41,7 +41,7 @@ impl ExportError {
         move |source| Self::Io { path, source }
     }
 
-    /// Whether something that it is made of is not there.
+    /// Whether one of its inputs is missing.
     pub fn is_missing(&self) -> bool {
         match self {
             Self::NoPictures(_) => true,

@@ -69,7 +69,7 @@ fn names(bytes: &[u8]) -> Vec<String> {
 }
 
 #[test]
-fn restored_views_are_in_the_zip_as_they_are_on_the_disk() {
+fn the_zip_has_the_restored_views_unchanged() {
     let (_folder, run) = result();
     let bytes = written(Export::Restored, &run, None);
     assert_eq!(names(&bytes), ["a.png", "b b.png", "c.png"]);
@@ -84,7 +84,7 @@ fn restored_views_are_in_the_zip_as_they_are_on_the_disk() {
 }
 
 #[test]
-fn a_zip_of_restored_views_names_them_and_packs_each() {
+fn a_zip_of_restored_views_names_and_compresses_each() {
     let (_folder, run) = result();
     let bytes = written(Export::Restored, &run, None);
     let mut archive = ZipArchive::new(Cursor::new(&bytes)).expect("a zip");
@@ -122,18 +122,18 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
 }
 
 #[test]
-fn the_compressed_scene_is_as_large_as_it_was_said_to_be() {
+fn the_compressed_scene_has_the_announced_size() {
     let (_folder, run) = result();
-    let said = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
+    let prepared = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
     let bytes = written(Export::CompressedScene, &run, Some(1));
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);
     let body = bytes.len() - at.expect("a header") - end.len();
-    assert_eq!(body as u64, said.bytes());
+    assert_eq!(body as u64, prepared.bytes());
 }
 
 #[test]
-fn what_is_not_there_is_told_before_anything_is_written() {
+fn missing_inputs_are_reported_before_anything_is_written() {
     let (_folder, run) = result();
     for export in Export::ALL {
         let error = export.prepare(&run, Some(2)).expect_err("no such round");

@@ -24,7 +24,7 @@ fn between(gains: &[Gains], first: usize, second: usize) -> Ratio {
 }
 
 #[test]
-fn gains_are_those_of_the_pairs_although_some_lie() {
+fn gains_fit_the_pairs_despite_outliers() {
     let gains = truth(12);
     let mut ratios: Vec<Ratio> = (0..12)
         .flat_map(|first| (1..4).map(move |step| (first, (first + step) % 12)))
@@ -44,7 +44,7 @@ fn gains_are_those_of_the_pairs_although_some_lie() {
 }
 
 #[test]
-fn the_prior_decides_only_where_no_pair_does() {
+fn the_prior_decides_only_without_pairs() {
     let gains = truth(4);
     let ratios = [between(&gains, 0, 1), between(&gains, 1, 2), between(&gains, 0, 2)];
     let found = solve(&[None; 4], &ratios, &[0.0, 0.0, 0.0, 1.0]);

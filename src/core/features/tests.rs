@@ -166,12 +166,12 @@ fn capture(folder: &Path) -> Vec<PathBuf> {
 fn overlapping_pictures_match_and_progress_is_reported() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let pictures = capture(folder.path());
-    let mut told = Vec::new();
+    let mut progress = Vec::new();
     let found = matching()
         .matches(
             &pictures,
             Pairs::Within,
-            &mut |done, total| told.push((done, total)),
+            &mut |done, total| progress.push((done, total)),
             &CancelToken::new(),
         )
         .expect("runs");
@@ -182,9 +182,9 @@ fn overlapping_pictures_match_and_progress_is_reported() {
     };
     assert!(matches(0, 1) > 40 && matches(1, 2) > 40, "{} {}", matches(0, 1), matches(1, 2));
     assert!(matches(0, 3) < 20 && matches(2, 3) < 20);
-    assert_eq!(told.first(), Some(&(1, 4 + 6)), "of pictures and pairs together");
-    assert_eq!(told.last(), Some(&(4 + 6, 4 + 6)));
-    assert!(told.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{told:?}");
+    assert_eq!(progress.first(), Some(&(1, 4 + 6)), "of pictures and pairs together");
+    assert_eq!(progress.last(), Some(&(4 + 6, 4 + 6)));
+    assert!(progress.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{progress:?}");
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! Scenes as compressed PLY files: PlayCanvas' layout, which SuperSplat, Babylon.js, Spark and
-//! other viewers read. 16 bytes a Gaussian and one for each higher harmonic, where the full layout
-//! has 68 and four.
+//! other viewers read. 16 bytes per Gaussian and one for each higher harmonic, instead of 68 and
+//! four in the full layout.
 //!
-//! Each 256 Gaussians share the ranges in which their numbers are counted. They are sorted along a
-//! curve that keeps neighbours together, so that such a range is small, and how far off a number
-//! may be does not depend on the world's scale.
+//! Each 256 Gaussians share the ranges in which their numbers are quantised. They are sorted along
+//! a space-filling curve, so that each range is small and the error of a number does not depend on
+//! the world's scale.
 
 use std::io::{self, Write};
 
@@ -14,24 +14,24 @@ use super::{Gaussians, Y00};
 /// Gaussians that share their ranges.
 const CHUNK: usize = 256;
 
-/// What a chunk's ranges are of, in the order of the file.
+/// The ranges of a chunk, in file order.
 const RANGES: [[&str; 3]; 3] =
     [["x", "y", "z"], ["scale_x", "scale_y", "scale_z"], ["r", "g", "b"]];
 
-/// Bits of a coordinate along the curve: 63 in all.
+/// Bits of a coordinate along the curve: 63 in total.
 const CURVE_BITS: u32 = 21;
 
-/// Higher harmonics are kept between plus and minus this.
+/// Higher harmonics are clamped to plus and minus this.
 const LARGEST_HARMONIC: f32 = 4.0;
 
-/// Bytes that so many Gaussians take, but for the header.
+/// Size of this many Gaussians in bytes, without the header.
 pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
     let harmonics = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
     let ranges = 4 * 2 * RANGES.as_flattened().len();
     (count * (16 + harmonics as usize) + count.div_ceil(CHUNK) * ranges) as u64
 }
 
-/// Writes the file's bytes; Gaussians that are not [usable](Gaussians::is_usable) are left out.
+/// Writes the file; Gaussians that are not [usable](Gaussians::is_usable) are left out.
 ///
 /// # Errors
 /// Those of the writer.
@@ -89,11 +89,11 @@ fn header(count: usize, scene: &Scene) -> String {
 /// A higher harmonic as one of 256 steps.
 fn byte(value: &f32) -> u8 {
     let share = value / (2.0 * LARGEST_HARMONIC) + 0.5;
-    // A cast keeps what is below or above at the ends.
+    // The cast clamps values outside the range.
     (share * 256.0) as u8
 }
 
-/// Indices of the usable Gaussians along Morton's curve: what is near on it is near in space.
+/// Indices of the usable Gaussians along the Morton curve: neighbours on it are close in space.
 fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
     let usable: Vec<usize> =
         (0..gaussians.len()).filter(|&index| gaussians.is_usable(index)).collect();
@@ -110,18 +110,18 @@ fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
     keyed.into_iter().map(|(_, index)| index).collect()
 }
 
-/// The bits of a number with two empty ones behind each.
+/// The bits of a number, each followed by two zero bits.
 fn spread(value: u32) -> u64 {
     (0..CURVE_BITS).fold(0, |spread, bit| spread | u64::from(value >> bit & 1) << (3 * bit))
 }
 
-/// A share of one as a whole number of so many bits.
+/// A share of one as an integer of `bits` bits.
 fn unorm(share: f64, bits: u32) -> u32 {
     let most = (1_u32 << bits) - 1;
     (share.clamp(0.0, 1.0) * f64::from(most)).round() as u32
 }
 
-/// Least and greatest of three numbers.
+/// Minimum and maximum of three numbers.
 struct Range {
     least: [f32; 3],
     greatest: [f32; 3],
@@ -136,7 +136,7 @@ impl Range {
         })
     }
 
-    /// Where numbers lie in their ranges, 0 to 1.
+    /// The relative positions of numbers in their ranges, 0 to 1.
     fn shares(&self, values: [f32; 3]) -> [f64; 3] {
         std::array::from_fn(|i| {
             let (least, greatest) = (f64::from(self.least[i]), f64::from(self.greatest[i]));
@@ -169,7 +169,7 @@ impl Chunk {
         let [means, scales, colours] = &self.ranges;
         let [r, g, b] = colours.shares(colour(gaussians, row));
         let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
-        // Readers take the logarithm of what is left on both sides.
+        // Readers compute a logit, so neither opacity nor transparency may be 0.
         let opacity = unorm(opacity, 8).clamp(1, 254);
         let rgb = [r, g, b].map(|share| unorm(share, 8));
         [
@@ -191,11 +191,12 @@ fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
     unorm(x, 11) << 21 | unorm(y, 10) << 11 | unorm(z, 11)
 }
 
-/// Which of w, x, y, z is the largest, then the three others, which are below the root of a half.
+/// The index of the largest of w, x, y, z, then the three others, which are below the root of a
+/// half.
 fn pack_rotation(quat: [f32; 4]) -> u32 {
     let quat = quat.map(f64::from);
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
-    // A rotation is that of its negative, too: the largest is positive and need not be told.
+    // A rotation equals its negative: make the largest positive, so it need not be stored.
     let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt() * quat[largest].signum();
     let others = (0..4).filter(|&i| i != largest);
     others.fold(largest as u32, |packed, i| {

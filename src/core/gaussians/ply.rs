@@ -1,8 +1,8 @@
-//! Scenes as PLY files in the layout that 3DGS viewers read: binary little endian, quaternions w x
-//! y z, opacity as a logit, scales as logarithms, higher harmonics channel-major.
+//! Scenes as PLY files in the layout of 3DGS viewers: binary little endian, quaternions w x y z,
+//! opacity as a logit, scales as logarithms, higher harmonics channel-major.
 //!
-//! The files are in the world of the poses, less an offset that `f32` cannot hold. Comments in the
-//! header say which, and how the scene was [normalised](Normalisation).
+//! The files are in the world of the poses, less an offset that `f32` cannot represent. Header
+//! comments give the offset and the scene's [normalisation](Normalisation).
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -22,29 +22,29 @@ pub enum PlyError {
     Io {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The file is no scene of Gaussians.
+    /// The file is not a scene of Gaussians.
     #[error("{path}: {message}")]
     Format {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The fault.
         message: String,
     },
 }
 
-/// A scene as it trained, and what brought its world there.
+/// A trained scene and the normalisation of its world.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// As they trained.
+    /// As trained.
     pub gaussians: Gaussians,
-    /// From the world of the poses to where they trained.
+    /// From the world of the poses to the training world.
     pub normalisation: Normalisation,
 }
 
-/// Trained Gaussians as files have them.
+/// Trained Gaussians in the form of files.
 pub(super) fn in_file<'a>(gaussians: &'a Gaussians, by: &Normalisation) -> Cow<'a, Gaussians> {
     if by.is_identity() {
         return Cow::Borrowed(gaussians);
@@ -52,7 +52,7 @@ pub(super) fn in_file<'a>(gaussians: &'a Gaussians, by: &Normalisation) -> Cow<'
     Cow::Owned(gaussians.moved(1.0 / by.scale, by.offset - by.missing_in_files()))
 }
 
-/// Lines of a header: nothing where the file is as the scene trained.
+/// Header lines; none if the file is as the scene trained.
 pub(super) fn comments(by: &Normalisation) -> String {
     let DVec3 { x, y, z } = by.offset;
     let scale = by.scale;
@@ -66,7 +66,7 @@ pub(super) fn comments(by: &Normalisation) -> String {
     lines
 }
 
-/// Writes `gaussians`, which `normalisation` brought to where they trained, to `path`: first to a
+/// Writes `gaussians`, which `normalisation` brought to the training world, to `path`: first to a
 /// temporary name beside it, then renamed.
 ///
 /// # Errors
@@ -131,10 +131,10 @@ fn property_names(coefficients: usize) -> Vec<String> {
     names
 }
 
-/// Reads a scene, as it trained. Properties may stand in any order; unknown ones are skipped.
+/// Reads a scene, as it trained. Properties may be in any order; unknown ones are skipped.
 ///
 /// # Errors
-/// [`PlyError`] when the file cannot be read or lacks a property of a Gaussian.
+/// [`PlyError`] if the file cannot be read or lacks a property of a Gaussian.
 pub fn read(path: &Path) -> Result<Scene, PlyError> {
     let fault = |source| PlyError::Io { path: path.to_owned(), source };
     let mut file = BufReader::new(File::open(path).map_err(fault)?);
@@ -151,7 +151,7 @@ pub fn read(path: &Path) -> Result<Scene, PlyError> {
     })
 }
 
-/// How many Gaussians a scene's file holds, and the degree of their harmonics, by its header.
+/// The number of Gaussians in a scene's file and the degree of their harmonics, from its header.
 ///
 /// # Errors
 /// As [`read`].
@@ -227,7 +227,7 @@ fn size_of_type(kind: &str) -> Option<usize> {
 }
 
 impl Header {
-    /// Takes in one of [`comments`].
+    /// Parses one of the [`comments`].
     fn normalise(&mut self, words: &[&str]) -> Option<()> {
         let number = |word: &str| word.parse().ok().filter(|number: &f64| number.is_finite());
         match *words {
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_is_in_the_world_of_the_poses_less_what_f32_cannot_hold() {
+    fn a_file_is_in_the_world_of_the_poses_less_an_offset_beyond_f32() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let (path, scene) = (folder.path().join("scene.ply"), scene(5, 1));
         let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
@@ -333,8 +333,9 @@ mod tests {
             assert_eq!(found.normalisation, by);
             assert_eq!(found.gaussians.sh, scene.sh);
             let bytes = std::fs::read(&path).expect("bytes");
-            let said = String::from_utf8_lossy(&bytes).contains("add 512352 -5412352 64 to x y z");
-            assert_eq!(said, left_out);
+            let is_noted =
+                String::from_utf8_lossy(&bytes).contains("add 512352 -5412352 64 to x y z");
+            assert_eq!(is_noted, left_out);
             let at = bytes.windows(11).position(|w| w == b"end_header\n");
             let at = at.expect("a header") + 11;
             let number = |n: usize| float(&bytes, at + 4 * n);
@@ -352,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_of_ours_that_makes_no_sense_is_refused_and_others_are_free() {
+    fn an_invalid_comment_of_ours_is_refused_and_others_are_ignored() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("scene.ply");
         let with = |comment: &str| {

@@ -1,11 +1,11 @@
-//! Reading: any photograph to upright planar RGB, never more than the header allows.
+//! Reading: any photograph to upright planar RGB, never larger than the header declares.
 //!
-//! What each input becomes: grey is repeated in all three channels; palettes are looked up; alpha
-//! is composited over black, in the values as encoded; CMYK is converted without a profile; 16
-//! bits stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored, values are taken
-//! as sRGB, but a HEIC of PQ or HLG becomes sRGB ([`super::hdr`]); EXIF orientation is applied
-//! once, here and nowhere else, and HEIC's own in its stead.
-//! Floating-point TIFF is refused, as its range and encoding are unknown.
+//! Conversion of each input: grey is repeated in all three channels; palettes are looked up; alpha
+//! is composited over black, in the encoded values; CMYK is converted without a profile; 16 bits
+//! stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored and values are taken as
+//! sRGB, but a PQ or HLG HEIC is converted to sRGB ([`super::hdr`]); EXIF orientation is applied
+//! once, here and nowhere else, or a HEIC's own instead. Floating-point TIFF is refused, as its
+//! range and encoding are unknown.
 
 mod error;
 mod heic;
@@ -30,35 +30,35 @@ use super::{Image, Linear, Shot, Srgb, exif};
 
 pub use self::error::{ImageError, MAX_FILE_BYTES, MAX_PIXELS};
 
-/// Most bytes that a decoder may allocate: 16-bit RGBA of [`MAX_PIXELS`] fits.
+/// Maximum allocation of a decoder, bytes: 16-bit RGBA of [`MAX_PIXELS`] fits.
 const MAX_DECODE_BYTES: u64 = 1 << 30;
 
-/// What a file's header says, without decoding it.
+/// A file's header, read without decoding.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Header {
     /// Width of the upright picture, px.
     pub width: usize,
     /// Height of the upright picture, px.
     pub height: usize,
-    /// What EXIF says is to be done to the stored pixels, and is done here. Nothing for a HEIC,
-    /// which every reader turns as its container says.
+    /// The EXIF orientation, which is applied here to the stored pixels. None for a HEIC, which
+    /// every reader rotates as its container specifies.
     pub orientation: Orientation,
-    /// Focal length in px of the picture as it is, from EXIF.
+    /// Focal length in px of the stored picture, from EXIF.
     pub focal_px: Option<f64>,
-    /// How it was exposed, from EXIF.
+    /// The exposure, from EXIF.
     pub shot: Option<Shot>,
-    /// Bytes that the decoded samples take while they are read.
+    /// Bytes needed for the decoded samples while reading.
     pub decoded_bytes: u64,
-    /// The larger range of brightness that becomes sRGB as it is read.
+    /// The larger brightness range that is converted to sRGB while reading.
     pub hdr: Option<HdrTransfer>,
     /// Whether the pixels have alpha.
     pub has_alpha: bool,
 }
 
-/// Reads a file's header and holds it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
+/// Reads a file's header and checks it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
 ///
 /// # Errors
-/// [`ImageError`]; a good header does not promise that the picture behind it is whole.
+/// [`ImageError`]; a valid header does not guarantee that the picture is intact.
 pub fn read_header(path: &Path) -> Result<Header, ImageError> {
     guarded(|| Ok(Opened::open(path)?.header))
 }
@@ -67,7 +67,7 @@ impl Image<Srgb> {
     /// Reads a photograph at its own size.
     ///
     /// # Errors
-    /// [`ImageError`]; nothing is decoded that the header says is too large.
+    /// [`ImageError`]; nothing is decoded if the header exceeds the limits.
     pub fn load(path: &Path) -> Result<Self, ImageError> {
         let samples = Samples::decode(path)?;
         let table = samples.table(|v| v);
@@ -81,9 +81,9 @@ impl Image<Srgb> {
         Ok(image)
     }
 
-    /// Reads a photograph with its long side brought down to at most `long_side` px, by area
-    /// average in linear light, as a sensor with larger pixels would have seen it. Never enlarges.
-    /// The full-size picture never exists as floats.
+    /// Reads a photograph with its long side reduced to at most `long_side` px, by area average in
+    /// linear light, as a sensor with larger pixels would have recorded it. Never enlarges. The
+    /// full-size picture never exists as floats.
     ///
     /// # Errors
     /// As [`Image::load`].
@@ -112,7 +112,7 @@ impl Image<Linear> {
     }
 }
 
-/// A file whose header has been read and found acceptable.
+/// A file whose header has been read and accepted.
 struct Opened {
     decoder: Box<dyn ImageDecoder>,
     orientation: Orientation,
@@ -162,10 +162,10 @@ impl Opened {
             ImageFormat::Tiff => {
                 Self::with_reader(pages::Paged::open(file.into_inner()).map_err(io)?, format, 0)
             }
-            // Its decoder and the check each hold the whole file.
+            // The decoder and the check each hold the whole file.
             ImageFormat::Jpeg => {
                 Self::with_reader(file, format, 2 * metadata.len()).map_err(|error| {
-                    // The decoder has no word for most kinds that it does not read.
+                    // The decoder does not name most unsupported kinds.
                     match jpeg::check(&fs::read(path).unwrap_or_default()) {
                         Err(kind @ ImageError::Unsupported { .. }) => kind,
                         _ => error,
@@ -185,11 +185,11 @@ impl Opened {
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_DECODE_BYTES);
         reader.limits(limits);
-        let decoder = reader.into_decoder().map_err(|error| told(&error))?;
+        let decoder = reader.into_decoder().map_err(|error| image_error(&error))?;
         Self::with_decoder(Box::new(decoder), Some(format), beside)
     }
 
-    /// `format`: none for HEIC. `beside`: bytes that decoding takes beside the samples.
+    /// `format`: none for HEIC. `beside`: bytes that decoding needs besides the samples.
     fn with_decoder(
         mut decoder: Box<dyn ImageDecoder>,
         format: Option<ImageFormat>,
@@ -207,13 +207,13 @@ impl Opened {
             }
         }
         let exif = decoder.exif_metadata().ok().flatten().and_then(exif::read);
-        // HEIC's own goes before, and a TIFF has it among its own tags.
+        // A HEIC's own takes precedence, and a TIFF has it in its own tags.
         let orientation = match &exif {
             Some(exif) if format.is_some() => exif::orientation(exif),
             _ => decoder.orientation().ok(),
         };
         let orientation = orientation.unwrap_or(Orientation::NoTransforms);
-        // A turned picture is a second one beside the first.
+        // A rotated picture is a second copy.
         let copies = if orientation == Orientation::NoTransforms { 1 } else { 2 };
         let has_alpha = decoder.color_type().has_alpha();
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
@@ -250,7 +250,7 @@ struct Samples {
     values: Values,
 }
 
-/// Samples as deep as the file has them.
+/// Samples at the file's bit depth.
 enum Values {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
@@ -268,7 +268,7 @@ impl Samples {
                 jpeg::check(&bytes)?;
             }
             let mut picture =
-                DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
+                DynamicImage::from_decoder(opened.decoder).map_err(|error| image_error(&error))?;
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;
@@ -276,7 +276,7 @@ impl Samples {
         })
     }
 
-    /// What every sample value stands for, after `f`.
+    /// The meaning of every sample value, after `f`.
     fn table(&self, f: impl Fn(f32) -> f32) -> Vec<f32> {
         let top = match self.values {
             Values::Eight(_) => 255_u32,
@@ -329,7 +329,7 @@ fn interleaved(picture: DynamicImage) -> Result<(usize, Values), ImageError> {
 }
 
 /// The colour of straight-alpha pixels over black, rounded to the samples' own steps; in place, as
-/// the samples of a large picture are not to be had twice.
+/// there is no memory for a second copy of a large picture's samples.
 fn over_black<T: image::Primitive>(mut samples: Vec<T>, stride: usize) -> Vec<T> {
     let top = T::DEFAULT_MAX_VALUE.to_u64().expect("an integer sample");
     let composited = |value: T, alpha: u64| {
@@ -341,7 +341,7 @@ fn over_black<T: image::Primitive>(mut samples: Vec<T>, stride: usize) -> Vec<T>
         let alpha = samples[pixel * stride + stride - 1];
         let alpha = alpha.to_u64().expect("an integer sample");
         for channel in 0..stride - 1 {
-            // Never ahead of what is read.
+            // Never ahead of the read position.
             samples[pixel * (stride - 1) + channel] =
                 composited(samples[pixel * stride + channel], alpha);
         }
@@ -350,8 +350,8 @@ fn over_black<T: image::Primitive>(mut samples: Vec<T>, stride: usize) -> Vec<T>
     samples
 }
 
-/// A decoder's error in our words.
-fn told(error: &image::ImageError) -> ImageError {
+/// Converts a decoder's error to ours.
+fn image_error(error: &image::ImageError) -> ImageError {
     let message = format!("its decoder says: {error}");
     match error {
         image::ImageError::Unsupported(_) => ImageError::Unsupported { message },
@@ -362,7 +362,7 @@ fn told(error: &image::ImageError) -> ImageError {
     }
 }
 
-/// Runs a decoder; where a hostile file makes it panic, the file is at fault, not the run.
+/// Runs a decoder; a panic caused by a hostile file is an error of the file, not of the run.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
     catch_unwind(AssertUnwindSafe(decode))
         .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))

@@ -1,4 +1,4 @@
-//! Writing: PNG and JPEG, whole or not at all.
+//! Writing: PNG and JPEG, atomically.
 
 use std::fs::{self, File};
 use std::io::{self, Cursor, Write};
@@ -25,7 +25,7 @@ pub enum EncodeFormat {
     Webp,
 }
 
-/// The quality of a JPEG where only a file name says the format: no visible loss in renders.
+/// JPEG quality when only a file name gives the format: no visible loss in renders.
 const DEFAULT_JPEG_QUALITY: u8 = 92;
 
 impl EncodeFormat {
@@ -69,10 +69,11 @@ impl Image<Srgb> {
         image
     }
 
-    /// The file's bytes in a format.
+    /// Encodes to the bytes of a file.
     ///
     /// # Errors
-    /// [`ImageError::Encode`] when the format cannot hold it (a JPEG's side is at most 65,535).
+    /// [`ImageError::Encode`] if the format cannot hold the image (a JPEG's side is at most
+    /// 65,535).
     pub fn encode(&self, format: EncodeFormat) -> Result<Vec<u8>, ImageError> {
         let mut bytes = Cursor::new(Vec::new());
         let (width, height) = (self.width as u32, self.height as u32);
@@ -110,7 +111,7 @@ impl Image<Srgb> {
         Ok(bytes.into_inner())
     }
 
-    /// Writes a file whose extension says the format (see [`EncodeFormat::of`]), atomically.
+    /// Writes a file in the format of its extension (see [`EncodeFormat::of`]), atomically.
     ///
     /// # Errors
     /// [`ImageError::Encode`], or [`ImageError::Io`] naming the path.
@@ -133,21 +134,21 @@ impl Image<Srgb> {
     }
 }
 
-/// Writes a file whole or not at all: to a temporary name in the same folder, flushed to the
-/// disk, then renamed over the target. A reader sees the old bytes or the new ones, never a part.
+/// Writes a file atomically: to a temporary name in the same folder, flushed to disk, then renamed
+/// over the target. A reader sees either the old or the new bytes, never a part.
 ///
 /// # Errors
-/// Whatever the file system says; the temporary file is removed.
+/// The file system's error; the temporary file is removed.
 pub fn write_atomic(path: &Path, bytes: &[u8]) -> io::Result<()> {
     static COUNTER: AtomicU64 = AtomicU64::new(0);
     let unique = COUNTER.fetch_add(1, Ordering::Relaxed);
     let name = path.file_name().ok_or_else(|| io::Error::other("no file name"))?.to_string_lossy();
-    // A name of 255 bytes must not grow: the temporary one keeps only its start.
+    // A name of 255 bytes must not grow: the temporary name keeps only its start.
     let start: String = name.chars().take(40).collect();
     let temporary = path.with_file_name(format!(".{start}.{}.{unique}.tmp", std::process::id()));
     let outcome = write_synced(&temporary, bytes).and_then(|()| fs::rename(&temporary, path));
     if outcome.is_err() {
-        // The first error is the one worth telling; what cannot be removed is hidden and small.
+        // Report the first error; a file that cannot be removed is hidden and small.
         let _ = fs::remove_file(&temporary);
     }
     outcome
@@ -169,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn lossless_formats_bring_back_what_was_written_to_half_a_step() {
+    fn lossless_formats_round_trip_to_half_a_step() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let image = picture();
         for (name, format, step) in [

@@ -1,21 +1,20 @@
-//! What EXIF says about the lens, and which way the camera was held.
+//! Lens, exposure and orientation from EXIF.
 
 use exif::{Exif, In, Reader, Tag, Value};
 use image::metadata::Orientation;
 use serde::{Deserialize, Serialize};
 
-/// What begins a block in a JPEG, and is no part of it.
+/// Prefix of a block in a JPEG, not part of it.
 const PREFIX: &[u8] = b"Exif\0\0";
 
 /// Diagonal of a 36 x 24 mm frame, mm: what "35 mm equivalent" refers to (CIPA DCG-001).
 const FRAME_DIAGONAL_MM: f64 = 43.266_615;
 
-/// Shares of the long side outside which a focal length is taken for a fault of the file: a
-/// 12 mm fisheye and a 600 mm telephoto lie inside.
+/// Range of plausible focal lengths, as shares of the long side; others are errors in the file: a
+/// 12 mm fisheye and a 600 mm telephoto are inside.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 0.2..=20.0;
 
-/// Reads a raw EXIF block, as far as it can be read. WebP and PNG may repeat the name that begins
-/// it in a JPEG.
+/// Reads the readable part of a raw EXIF block. WebP and PNG may repeat the JPEG prefix.
 pub(super) fn read(mut block: Vec<u8>) -> Option<Exif> {
     if block.starts_with(PREFIX) {
         block.drain(..PREFIX.len());
@@ -25,7 +24,7 @@ pub(super) fn read(mut block: Vec<u8>) -> Option<Exif> {
     exif.or_else(|error| error.distill_partial_result(drop)).ok()
 }
 
-/// How the picture is to be turned; of whichever integer type, as programs write it.
+/// The orientation; programs write it with any integer type.
 pub(super) fn orientation(exif: &Exif) -> Option<Orientation> {
     let value = &exif.get_field(Tag::Orientation, In::PRIMARY)?.value;
     let number = match value {
@@ -37,8 +36,8 @@ pub(super) fn orientation(exif: &Exif) -> Option<Orientation> {
     Orientation::from_exif(number)
 }
 
-/// The focal length in px of a `width` x `height` image. `None` where the block gives millimetres
-/// without any measure of the sensor.
+/// The focal length in px of a `width` x `height` image. `None` if the block gives millimetres
+/// without a sensor size.
 pub(super) fn focal_px(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     let focal =
         equivalent(exif, width, height).or_else(|| by_sensor_resolution(exif, width, height))?;
@@ -51,7 +50,7 @@ fn equivalent(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     Some(millimetres / FRAME_DIAGONAL_MM * (width as f64).hypot(height as f64))
 }
 
-/// From the millimetres and the sensor's pixels per length, corrected for a later resize.
+/// From the focal length in millimetres and the sensor's resolution, corrected for a later resize.
 fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     let millimetres = positive(exif, Tag::FocalLength)?;
     let per_unit = positive(exif, Tag::FocalPlaneXResolution)?;
@@ -65,32 +64,32 @@ fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64>
     };
     let (taken_width, taken_height) =
         (positive(exif, Tag::PixelXDimension)?, positive(exif, Tag::PixelYDimension)?);
-    // The long sides are compared: a rotated picture keeps its EXIF numbers.
+    // Compare the long sides: a rotated picture keeps its EXIF numbers.
     let resized = width.max(height) as f64 / taken_width.max(taken_height);
     Some(millimetres * per_unit / unit_mm * resized)
 }
 
-/// How a photograph was exposed.
+/// The exposure of a photograph.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Shot {
     /// Exposure time, s.
     pub seconds: f64,
     /// Sensitivity, ISO.
     pub iso: f64,
-    /// Aperture; phones often record none, because theirs is fixed.
+    /// Aperture; often missing on phones, where it is fixed.
     pub f_number: Option<f64>,
 }
 
 impl Shot {
-    /// The exposure, stops above 1 s at ISO 1, and at f/1 if the aperture is part of it.
+    /// The exposure in stops above 1 s at ISO 1, and at f/1 if the aperture is included.
     pub fn stops(&self, has_aperture: bool) -> f64 {
         let aperture = self.f_number.filter(|_| has_aperture).map_or(0.0, |f| 2.0 * f.log2());
         self.seconds.log2() + self.iso.log2() - aperture
     }
 }
 
-/// The exposure that the block records: as numbers, or else in APEX units (EXIF 2.32, annex C).
-/// `None` without a time and a sensitivity.
+/// The recorded exposure: as numbers, or else in APEX units (EXIF 2.32, annex C). `None` without a
+/// time and a sensitivity.
 pub(super) fn shot(exif: &Exif) -> Option<Shot> {
     let seconds = positive(exif, Tag::ExposureTime)
         .or_else(|| Some(number(exif, Tag::ShutterSpeedValue)?.exp2().recip()));
@@ -100,7 +99,7 @@ pub(super) fn shot(exif: &Exif) -> Option<Shot> {
         Tag::RecommendedExposureIndex,
         Tag::StandardOutputSensitivity,
     ];
-    // 65535 stands in the first tag for a sensitivity that does not fit it.
+    // 65535 in the first tag means a sensitivity that does not fit it.
     let iso = iso.into_iter().filter_map(|tag| positive(exif, tag)).find(|iso| *iso != 65_535.0);
     let f_number = positive(exif, Tag::FNumber)
         .or_else(|| Some((0.5 * number(exif, Tag::ApertureValue)?).exp2()));
@@ -162,7 +161,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn orientation_of_every_integer_type_and_byte_order_is_read_behind_the_prefix_too() {
+    fn orientation_of_every_integer_type_and_byte_order_is_read_also_after_the_prefix() {
         let values = [
             Value::Byte(vec![6]),
             Value::Short(vec![6]),
@@ -228,7 +227,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn sensor_resolution_gives_px_also_after_a_resize_and_a_rotation() {
+    fn sensor_resolution_gives_px_even_after_a_resize_and_a_rotation() {
         let exif = block(&[
             (Tag::FocalLength, rational(50, 1)),
             (Tag::FocalPlaneXResolution, rational(2540, 1)),

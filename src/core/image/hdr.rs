@@ -1,25 +1,25 @@
-//! Pictures with a larger range of brightness than sRGB has, and how they become sRGB.
+//! Converts pictures with a brightness range larger than sRGB to sRGB.
 
 use std::fmt;
 
 use super::transfer::linear_to_srgb;
 
-/// How bright white is in such a picture, nits (ITU-R BT.2408): the white of sRGB, before the bend.
+/// Brightness of white in such a picture, nits (ITU-R BT.2408): sRGB white, before compression.
 pub(crate) const WHITE: f64 = 203.0;
 
-/// How bright such a picture may be, nits: the display that HLG is meant for.
+/// Peak brightness of such a picture, nits: the display that HLG is designed for.
 pub(crate) const PEAK: f64 = 1000.0;
 
-/// Up to this share of [`WHITE`] light stays as it is; above it is bent, so that [`PEAK`] is the
-/// white of sRGB. The dark is what counts here.
+/// Below this share of [`WHITE`] light is unchanged; above it is compressed, so that [`PEAK`]
+/// becomes sRGB white. The dark range matters here.
 const BEND: f32 = 0.3;
 
 /// How a picture codes a larger range (ITU-R BT.2100).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HdrTransfer {
-    /// Hybrid log-gamma: light of the scene.
+    /// Hybrid log-gamma: scene light.
     Hlg,
-    /// Perceptual quantizer: light of the display.
+    /// Perceptual quantizer: display light.
     Pq,
 }
 
@@ -33,7 +33,7 @@ impl fmt::Display for HdrTransfer {
 }
 
 impl HdrTransfer {
-    /// The transfer function of a code point of ITU-T H.273; `None` for those of usual range.
+    /// The transfer function for a code point of ITU-T H.273; `None` for those of normal range.
     pub(super) fn of_code(transfer: u16) -> Option<Self> {
         match transfer {
             16 => Some(Self::Pq),
@@ -42,8 +42,8 @@ impl HdrTransfer {
         }
     }
 
-    /// The light of a coded value in 0..=1: of PQ in units of [`WHITE`], of HLG that of the scene,
-    /// in 0..=1.
+    /// The light for a coded value in 0..=1: for PQ in units of [`WHITE`], for HLG scene light in
+    /// 0..=1.
     pub(super) fn light(self, value: f32) -> f32 {
         let value = f64::from(value);
         let light = match self {
@@ -68,12 +68,12 @@ impl HdrTransfer {
         light as f32
     }
 
-    /// The sRGB values, in 0..=1, of a pixel's [`HdrTransfer::light`] in the primaries of
+    /// The sRGB values, in 0..=1, for a pixel's [`HdrTransfer::light`] in the primaries of
     /// `to_srgb`'s columns.
     pub(super) fn srgb(self, light: [f32; 3], to_srgb: &[[f32; 3]; 3]) -> [f32; 3] {
         let gain = match self {
             Self::Pq => 1.0,
-            // The display of 1,000 nits adds contrast, by the luminance of BT.2020.
+            // The 1,000 nit display adds contrast, by BT.2020 luminance.
             Self::Hlg => {
                 let luminance = 0.2627 * light[0] + 0.6780 * light[1] + 0.0593 * light[2];
                 luminance.powf(0.2) * (PEAK / WHITE) as f32
@@ -87,7 +87,7 @@ impl HdrTransfer {
 }
 
 /// The curve of ffmpeg's `tonemap=mobius`: linear up to [`BEND`], then a hyperbola with the same
-/// slope there that takes [`PEAK`] to 1.
+/// slope there that maps [`PEAK`] to 1.
 fn bent(light: f32) -> f32 {
     if light <= BEND {
         return light;
@@ -99,8 +99,8 @@ fn bent(light: f32) -> f32 {
     (b + BEND) * (b + BEND) / (b - a) * (light + a) / (light + b)
 }
 
-/// The matrix from linear light in primaries of a code point of ITU-T H.273 to that of sRGB's.
-/// Those that are not given are BT.2020's, as every player assumes.
+/// The matrix from linear light in the primaries of a code point of ITU-T H.273 to sRGB's.
+/// Unspecified primaries are BT.2020's, as every player assumes.
 pub(super) fn primaries_to_srgb(code: u16) -> &'static [[f32; 3]; 3] {
     match code {
         2 | 9 => &[
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn light_is_linear_in_the_dark_and_bent_to_white_at_the_peak() {
+    fn light_is_linear_in_the_dark_and_compressed_to_white_at_the_peak() {
         assert_eq!(bent(0.2), 0.2);
         assert!((bent(1.0) - 0.679).abs() < 0.001);
         assert!((bent((PEAK / WHITE) as f32) - 1.0).abs() < 1e-5);

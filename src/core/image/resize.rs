@@ -1,4 +1,4 @@
-//! Changing the size: exact area average to shrink, bilinear to enlarge.
+//! Resizing: exact area average to shrink, bilinear to enlarge.
 
 use super::Image;
 
@@ -23,8 +23,8 @@ fn spans(from: usize, to: usize) -> Vec<Span> {
         .collect()
 }
 
-/// Averages rows that arrive from top to bottom, so that the full-size picture never needs to
-/// exist as floats: the memory is a few rows.
+/// Averages rows that arrive from top to bottom, so the full-size picture never exists as floats:
+/// only a few rows are in memory.
 pub(super) struct AreaAverage {
     columns: Vec<Span>,
     rows: Vec<Span>,
@@ -36,8 +36,8 @@ impl AreaAverage {
         Self { columns: spans(from.0, to.0), rows: spans(from.1, to.1) }
     }
 
-    /// Averages one plane into `out` of the new size; `row(y, buffer)` gives a row of the input
-    /// and is asked for rows in ascending order, twice at most for each.
+    /// Averages one plane into `out` at the new size; `row(y, buffer)` supplies a row of the input
+    /// and is called with ascending rows, at most twice for each.
     pub(super) fn plane(
         &self,
         input_width: usize,
@@ -69,7 +69,7 @@ impl AreaAverage {
     }
 }
 
-/// The size with its long side brought down to `long_side`; never enlarged, never below 1 px.
+/// The size with its long side reduced to `long_side`; never enlarged, never below 1 px.
 pub(super) fn at_most(width: usize, height: usize, long_side: usize) -> (usize, usize) {
     let longest = width.max(height);
     if longest <= long_side {
@@ -81,8 +81,8 @@ pub(super) fn at_most(width: usize, height: usize, long_side: usize) -> (usize, 
 }
 
 impl<E> Image<E> {
-    /// The exact area average at a new size (any factor, each output pixel is the mean of what
-    /// it covers). Averages the values as encoded: convert to linear first where light counts.
+    /// The exact area average at a new size (any factor; each output pixel is the mean of the area
+    /// it covers). Averages the encoded values: convert to linear first where light matters.
     ///
     /// # Panics
     /// When the image or the new size is empty: a fault of the caller.
@@ -120,8 +120,8 @@ impl<E> Image<E> {
         })
     }
 
-    /// Bilinear at a new size, the corners of the pictures aligned. For enlarging: shrinking by
-    /// more than 2 skips pixels, use [`Image::resize_area`] there.
+    /// Bilinear at a new size, with the corners aligned. For enlarging: shrinking by more than 2
+    /// skips pixels; use [`Image::resize_area`] instead.
     pub fn resize_bilinear(&self, width: usize, height: usize) -> Self {
         let (step_x, step_y) =
             (self.width as f32 / width as f32, self.height as f32 / height as f32);
@@ -134,7 +134,7 @@ impl<E> Image<E> {
         out
     }
 
-    /// The size of this image with its long side brought down to `long_side` px, never enlarged.
+    /// The size of this image with its long side reduced to `long_side` px, never enlarged.
     pub fn size_at_most(&self, long_side: usize) -> (usize, usize) {
         at_most(self.width, self.height, long_side)
     }

@@ -1,5 +1,5 @@
-//! Which kind of picture a file is, told by its first bytes; the extension only helps where the
-//! bytes cannot tell.
+//! Identifies the format of a file by its first bytes; the extension is used only if the bytes are
+//! ambiguous.
 
 use std::fmt;
 use std::fs::File;
@@ -8,30 +8,30 @@ use std::path::Path;
 
 use image::ImageFormat;
 
-/// What a file's first bytes say.
+/// The format according to a file's first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// One that is decoded here.
+    /// A format that is decoded here.
     Readable(ImageFormat),
-    /// HEIC: a phone's own format. Whether HEVC is inside, its boxes tell.
+    /// HEIC: the native format of phones. Its boxes show whether it contains HEVC.
     Heic,
     /// MP4 or MOV.
     Video,
-    /// One that is known and not read.
+    /// A known but unsupported format.
     Unread(Unread),
-    /// Nothing known.
+    /// Unknown.
     Unknown,
 }
 
-/// A format that is known and not read.
+/// A known but unsupported format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unread {
-    /// What it is called.
+    /// Its name.
     name: &'static str,
     sort: Sort,
 }
 
-/// What is to be done about a format that is not read.
+/// The kind of advice for an unsupported format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sort {
     Picture,
@@ -40,20 +40,20 @@ enum Sort {
     Archive,
     Sphere,
     SphereVideo,
-    /// Not what its name says.
+    /// Contradicts its name.
     Other,
 }
 
 impl Unread {
     const RAW: Self = Self { name: "camera raw", sort: Sort::Raw };
     const AVIF: Self = Self { name: "AVIF", sort: Sort::Picture };
-    /// Two fisheyes side by side, in the bytes of a JPEG.
+    /// Two fisheyes side by side, in a JPEG.
     const INSTA360: Self = Self { name: "INSP photographs", sort: Sort::Sphere };
-    /// Two fisheyes, or the faces of a cube, in the bytes of an MP4.
+    /// Two fisheyes, or the faces of a cube, in an MP4.
     const SPHERES: Self = Self { name: "INSV and 360 videos", sort: Sort::SphereVideo };
     const BURST: Self = Self { name: "HEIC burst", sort: Sort::Picture };
 
-    /// The format that a file's name claims, where that is one that is known and not read.
+    /// The format that a file's name claims, if it is known but unsupported.
     pub(crate) fn named(path: &Path) -> Option<Self> {
         let extension = extension(path);
         if RAW_EXTENSIONS.contains(&extension.as_str()) {
@@ -63,8 +63,7 @@ impl Unread {
         UNREAD.iter().find(known).map(|unread| unread.0)
     }
 
-    /// The format of a file, by its first bytes or else its name, where that is one that is known
-    /// and not read.
+    /// The format of a file, from its first bytes or else its name, if it is known but unsupported.
     pub(crate) fn of(path: &Path) -> io::Result<Option<Self>> {
         let mut head = Vec::new();
         File::open(path)?.take(32).read_to_end(&mut head)?;
@@ -118,8 +117,8 @@ const fn unread(name: &'static str, sort: Sort) -> Unread {
     Unread { name, sort }
 }
 
-/// Formats that are recognised in order to be refused with advice: how they begin (empty where
-/// that tells nothing), and the extensions that they have.
+/// Formats that are recognised to be refused with advice: their first bytes (empty if not
+/// distinctive) and their extensions.
 const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("BMP", Sort::Picture), b"BM", &["bmp", "dib"]),
     (unread("GIF", Sort::Picture), b"GIF8", &["gif"]),
@@ -191,7 +190,7 @@ pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
     }
 }
 
-/// Formats for which no decoder is asked.
+/// Formats that are rejected without calling a decoder.
 fn foreign(head: &[u8]) -> Option<Kind> {
     if head.get(4..8) == Some(b"ftyp".as_slice()) {
         return Some(match head.get(8..12)? {
@@ -214,8 +213,8 @@ fn foreign(head: &[u8]) -> Option<Kind> {
     UNREAD.iter().find(begins).map(|unread| Kind::Unread(unread.0))
 }
 
-/// Whether a file of this name claims to be a picture: used to tell a broken photograph from a
-/// file that merely lies beside the photographs.
+/// Whether a file's name claims a picture: distinguishes a broken photograph from an unrelated file
+/// beside the photographs.
 pub(crate) fn named_like_a_photograph(path: &Path) -> bool {
     const READ: [&str; 13] = [
         "jpg", "jpeg", "jpe", "jfif", "mpo", "png", "webp", "tif", "tiff", "heic", "heif", "hif",
@@ -230,7 +229,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn phone_and_raw_formats_are_told_by_their_bytes_whatever_their_name() {
+    fn phone_and_raw_formats_are_recognised_by_their_bytes_whatever_their_name() {
         let heic = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic";
         assert_eq!(kind(heic, Path::new("a.jpg")), Kind::Heic);
         let video = b"\0\0\0\x14ftypqt  \0\0\0\0qt  ";
@@ -255,8 +254,8 @@ mod tests {
     }
 
     #[test]
-    fn formats_that_are_not_read_are_called_by_their_names_with_advice() {
-        let told = |head: &[u8], name: &str| match kind(head, Path::new(name)) {
+    fn unsupported_formats_are_named_with_advice() {
+        let message = |head: &[u8], name: &str| match kind(head, Path::new(name)) {
             Kind::Unread(format) => format.to_string(),
             other => panic!("{name}: {other:?}"),
         };
@@ -275,8 +274,8 @@ mod tests {
             (b"FUJIFILMCCD-RAW 0201", "a.raf", "dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"),
         ];
         for (head, name, words) in cases {
-            let told = told(head, name);
-            assert!(told.contains(words), "{name}: {told}");
+            let message = message(head, name);
+            assert!(message.contains(words), "{name}: {message}");
         }
     }
 
@@ -291,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn text_named_jpg_is_nothing_known() {
+    fn text_named_jpg_is_unknown() {
         assert_eq!(kind(b"hello there, this is text", Path::new("a.jpg")), Kind::Unknown);
         assert_eq!(kind(b"", Path::new("a.jpg")), Kind::Unknown);
     }

@@ -36,8 +36,8 @@ impl Image<Srgb> {
 }
 
 impl Image<Srgb> {
-    /// The picture exposed by so many stops more: a gain of `2^ev` in linear light. Nothing is
-    /// clipped; at 0 it is the same, bit for bit.
+    /// The picture with its exposure raised by `ev` stops: a gain of `2^ev` in linear light.
+    /// Nothing is clipped; at 0 it is unchanged, bit for bit.
     #[must_use]
     pub fn exposed(self, ev: f64) -> Self {
         if ev == 0.0 {

@@ -27,7 +27,7 @@ pub enum OnnxFileError {
     /// The ONNX file or its weights cannot be read.
     #[error(transparent)]
     Unreadable(#[from] io::Error),
-    /// It is no ONNX file, or its weights are not where they may be.
+    /// It is not an ONNX file, or its weights are not in a permitted place.
     #[error("{0}")]
     Unusable(String),
 }
@@ -50,7 +50,7 @@ impl OnnxFile {
         Ok(Self { sha256: digest_of(parts), bytes, weights })
     }
 
-    /// Checks that an ONNX file and its files of weights are there, without reading the weights.
+    /// Checks that an ONNX file and its files of weights exist, without reading the weights.
     ///
     /// # Errors
     /// As [`OnnxFile::read`].
@@ -73,7 +73,7 @@ impl OnnxFile {
     }
 }
 
-/// Where a file of weights lies. ONNX allows relative paths that stay below the network's folder.
+/// The path of a file of weights. ONNX allows relative paths that stay below the network's folder.
 fn path_of_weights(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let is_below = |part| matches!(part, Component::Normal(_) | Component::CurDir);
     if name.is_empty() || !Path::new(name).components().all(is_below) {
@@ -89,6 +89,6 @@ fn path_of_weights(folder: &Path, name: &str) -> Result<PathBuf, String> {
     ))
 }
 
-/// How PyTorch writes a network without other files.
+/// PyTorch's option for a network without other files.
 pub(super) const ONE_FILE: &str =
     "export the network as one file, as with torch.onnx.export(..., external_data=False)";

@@ -1,7 +1,6 @@
-//! The files of weights that an ONNX file names, from the protocol buffers that it consists of.
+//! The files of weights that an ONNX file names, read from its protocol buffers.
 //!
-//! ONNX Runtime has no call that lists them, and would read one that is not given to it from the
-//! current folder.
+//! ONNX Runtime has no call that lists them, and would read missing ones from the current folder.
 
 use std::collections::BTreeSet;
 
@@ -20,7 +19,7 @@ enum Message {
     Tensor,
 }
 
-/// Number and message of each field that leads to a tensor, by the message that has it.
+/// Number and message of each field that leads to a tensor, by the enclosing message.
 const FIELDS: [(Message, u64, Message); 19] = {
     use Message::{Attribute, Function, Graph, Model, Node, Sparse, Tensor, Training};
     [
@@ -46,14 +45,14 @@ const FIELDS: [(Message, u64, Message); 19] = {
     ]
 };
 
-/// How deep messages may lie in each other; readers of protocol buffers have the same limit.
+/// Maximum nesting of messages; protocol buffer readers have the same limit.
 const DEEPEST: usize = 100;
 
-/// The names of the files that hold weights of a network, relative to its folder.
+/// The names of the files with a network's weights, relative to its folder.
 ///
 /// # Errors
-/// A sentence when the file is no ONNX file, or when another tensor than a weight of its main graph
-/// lies elsewhere: ONNX Runtime takes only those from memory.
+/// A sentence if the file is not an ONNX file, or if a tensor other than a weight of its main graph
+/// is external: ONNX Runtime takes only those from memory.
 pub(super) fn weight_files(bytes: &[u8]) -> Result<BTreeSet<String>, String> {
     let mut found = Found::default();
     if bytes.is_empty() || found.walk(bytes, Message::Model, 0).is_none() {
@@ -70,12 +69,12 @@ pub(super) fn weight_files(bytes: &[u8]) -> Result<BTreeSet<String>, String> {
 #[derive(Default)]
 struct Found {
     weights: BTreeSet<String>,
-    /// The file of a tensor that is no weight of the main graph.
+    /// The file of a tensor that is not a weight of the main graph.
     inner: Option<String>,
 }
 
 impl Found {
-    /// Visits all tensors; `None` where the bytes are no such message.
+    /// Visits all tensors; `None` if the bytes are not such a message.
     fn walk(&mut self, bytes: &[u8], message: Message, depth: usize) -> Option<()> {
         if depth > DEEPEST {
             return None;
@@ -86,7 +85,7 @@ impl Found {
             let inner = FIELDS.iter().find(|(of, at, _)| (*of, *at) == (message, number));
             match inner {
                 Some((_, _, Message::Tensor)) => match file_of(content)? {
-                    // The main graph lies in the model.
+                    // The main graph is in the model.
                     Some(name) if message == Message::Graph && depth == 1 => {
                         self.weights.insert(name);
                     }
@@ -101,7 +100,7 @@ impl Found {
     }
 }
 
-/// The file that holds a tensor's values; the inner `None` where the tensor holds them itself.
+/// The file with a tensor's values; the inner `None` if the tensor contains them itself.
 fn file_of(tensor: &[u8]) -> Option<Option<String>> {
     const EXTERNAL: u64 = 1;
     let (mut is_external, mut location) = (false, String::new());
@@ -130,11 +129,11 @@ fn file_of(tensor: &[u8]) -> Option<Option<String>> {
 enum Value<'a> {
     Number(u64),
     Bytes(&'a [u8]),
-    /// One of a fixed width, which no field of interest has.
+    /// A value of fixed width, which no field of interest has.
     Fixed,
 }
 
-/// The fields of a message, by number; `None` as the last where the bytes are no message.
+/// The fields of a message, by number; a final `None` if the bytes are not a message.
 fn fields(bytes: &[u8]) -> impl Iterator<Item = Option<(u64, Value<'_>)>> {
     let mut rest = bytes;
     std::iter::from_fn(move || {
@@ -164,7 +163,7 @@ fn field<'a>(rest: &mut &'a [u8]) -> Option<(u64, Value<'a>)> {
     Some((tag >> 3, value))
 }
 
-/// A number of up to ten bytes, seven bits each, least first.
+/// A number of up to ten bytes, seven bits each, least significant first.
 fn varint(rest: &mut &[u8]) -> Option<u64> {
     let mut number = 0;
     for shift in (0..70).step_by(7) {
@@ -181,7 +180,7 @@ fn varint(rest: &mut &[u8]) -> Option<u64> {
 mod tests {
     use super::*;
 
-    /// A field of bytes, shorter than 128.
+    /// A field with bytes, shorter than 128.
     fn field(number: u8, content: &[u8]) -> Vec<u8> {
         [&[number << 3 | 2, content.len() as u8], content].concat()
     }
@@ -205,7 +204,7 @@ mod tests {
     }
 
     #[test]
-    fn tensors_that_are_no_weights_may_not_lie_elsewhere() {
+    fn tensors_other_than_weights_may_not_be_external() {
         let attribute = |content: Vec<u8>| field(7, &field(1, &field(5, &content)));
         let inner = field(5, &tensor("w"));
         for model in [attribute(field(5, &tensor("w"))), attribute(field(6, &inner))] {
@@ -218,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_message_is_refused_at_every_length() {
+    fn invalid_messages_are_refused_at_every_length() {
         let whole = field(7, &field(5, &tensor("weights.data")));
         for length in 0..whole.len() {
             assert!(files(&whole[..length]).is_err(), "{length}");

@@ -9,7 +9,7 @@ const CELL: usize = 4;
 /// illumination, which is similar in many places.
 const RADIUS: usize = 4;
 
-/// Correlation, -1..=1, of the structures between 4 and about 40 px of two images of one size: near
+/// Correlation, -1..=1, of the structures between 4 and about 40 px in two images of one size: near
 /// 1 if both show the same from the same place, even if one is noisier, softer or brighter; near 0
 /// if not. 0 if either is empty.
 pub fn correlation(image: &Image, reference: &Image) -> f64 {

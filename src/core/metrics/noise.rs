@@ -9,8 +9,8 @@ const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 const WHITE: f32 = 254.5 / 255.0;
 
 /// Standard deviation of the noise on luma, 0..=1, after Immerkaer 1996: the mean absolute response
-/// of a mask that is blind to planes and straight edges. Texture adds to it; clipped and smoothed
-/// noise escapes it.
+/// of a mask that ignores planes and straight edges. Texture adds to it; clipped and smoothed noise
+/// escapes it.
 ///
 /// # Panics
 /// When the image is smaller than 3 x 3 px: a fault of the caller.

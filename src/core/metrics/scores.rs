@@ -16,8 +16,8 @@ pub struct Scores {
 }
 
 impl Scores {
-    /// Over the pixels of `mask`, with the windows of SSIM around them, or over all; `None` where
-    /// no window is left.
+    /// Scores over the pixels of `mask`, with SSIM's windows around them, or over all; `None` if no
+    /// window is left.
     ///
     /// # Panics
     /// When the sizes differ: a fault of the caller.

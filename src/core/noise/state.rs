@@ -12,7 +12,7 @@ const HEADER: usize = 2;
 /// A state that cannot be restored.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
-    /// The numbers are no state of this version and network.
+    /// The numbers are not a state of this version and network.
     #[error("not the state of such a noise field: {0}")]
     Format(&'static str),
     /// The device failed.
@@ -26,7 +26,7 @@ pub(super) fn pack(step: u64, numbers: &[&[f32]]) -> Vec<f32> {
     [&[VERSION, step as f32], numbers.concat().as_slice()].concat()
 }
 
-/// Step and numbers of [`pack`] for a network of that many parameters.
+/// Step and numbers of [`pack`] for a network with this many parameters.
 pub(super) fn parse(state: &[f32], parameters: usize) -> Result<(u64, &[f32]), StateError> {
     let (&[version, step], numbers) = state
         .split_first_chunk::<HEADER>()

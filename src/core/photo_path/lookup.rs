@@ -1,21 +1,21 @@
-//! Which of a file's names means which photograph. Nothing is guessed: a name that may mean two
-//! photographs, or two names that may mean one, are an error.
+//! Matches a file's names to photographs. Nothing is guessed: a name that matches two photographs,
+//! or two names that match one, are an error.
 
 use std::collections::{BTreeMap, HashSet};
 
 use super::PhotoPath;
 
-/// Names and photographs of which nothing says which belongs to which.
+/// Names and photographs whose match is ambiguous.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}", told(names, photographs))]
+#[error("{}", message(names, photographs))]
 pub struct Tie {
-    /// As the file has them.
+    /// As written in the file.
     pub names: Vec<PhotoPath>,
-    /// Those that they may mean.
+    /// The photographs that they may refer to.
     pub photographs: Vec<PhotoPath>,
 }
 
-fn told(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
+fn message(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
     let all = |paths: &[PhotoPath]| {
         let shown: Vec<_> = paths.iter().take(3).map(|path| format!("`{path}`")).collect();
         let more = if paths.len() > 3 { " and others" } else { "" };
@@ -45,10 +45,10 @@ fn told(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
     }
 }
 
-/// For each photograph the index of the name that means it. From one step to the next less has to
-/// agree: the whole path; all folders of the shorter of the two, the longest first; where no name
-/// was found so, at least the last part. In each step the case, then the extension may differ.
-/// Folders that no other pair left out are left out only where nobody else has this name.
+/// For each photograph the index of its name. Each step requires less to agree: the whole path; all
+/// folders of the shorter of the two, the longest first; if no name was found this way, at least
+/// the last part. In each step the case, then the extension may differ. Folders that no other pair
+/// ignores are ignored only if the name is unique.
 ///
 /// # Errors
 /// [`Tie`].
@@ -74,8 +74,8 @@ pub fn find_each(
         }
     }
     for parts in (1..=longest).rev() {
-        // A folder of the same photographs that is called otherwise; where folders did agree, one
-        // that does not is another one.
+        // The same photographs may be in a renamed folder; but if folders did agree, a different
+        // folder is another one.
         if lookup.found.iter().any(Option::is_some) {
             break;
         }
@@ -86,17 +86,17 @@ pub fn find_each(
     Ok(lookup.found)
 }
 
-/// Deeper folders than these count only as a whole: strangers write them.
+/// Deeper folders count only as a whole: the input is untrusted.
 const MOST_PARTS: usize = 16;
 
 fn depth(path: &PhotoPath) -> usize {
     path.as_str().split('/').count()
 }
 
-/// What may differ between a name and the photograph that it means.
+/// Allowed differences between a name and its photograph.
 #[derive(Clone, Copy)]
 struct Loosely {
-    /// Whether the name's extension does not count; the photograph's.
+    /// Whether to ignore the extension: of the name, of the photograph.
     extension: [bool; 2],
     case: bool,
 }
@@ -105,7 +105,7 @@ const fn loosely(extension: [bool; 2], case: bool) -> Loosely {
     Loosely { extension, case }
 }
 
-/// From the strictest on. An extension may be there on one side only, as NeRF's are.
+/// From the strictest on. Only one side may have an extension, as in NeRF.
 const LOOSER: [Loosely; 8] = [
     loosely([false, false], false),
     loosely([false, false], true),
@@ -130,7 +130,7 @@ struct Lookup<'a> {
     photographs: &'a [PhotoPath],
     name_is_found: Vec<bool>,
     found: Vec<Option<usize>>,
-    /// The folders that were left out of names and photographs that were found.
+    /// The folders ignored in matched names and photographs.
     left_out: HashSet<[&'a str; 2]>,
 }
 
@@ -139,12 +139,12 @@ struct Lookup<'a> {
 struct Group {
     names: Vec<usize>,
     photographs: Vec<usize>,
-    /// Whether there are others, which belong to each other.
+    /// Whether there are others that are already matched.
     has_found: bool,
 }
 
 impl<'a> Lookup<'a> {
-    /// Looks at what is not found yet: so many last parts must be equal.
+    /// Matches what remains: this many last parts must be equal.
     fn step(&mut self, loosely: Loosely, parts: usize, folders: Folders) -> Result<(), Tie> {
         let mut left_out = Vec::new();
         for group in self.groups(loosely, parts) {
@@ -171,7 +171,7 @@ impl<'a> Lookup<'a> {
         Ok(())
     }
 
-    /// Names and photographs by their last parts, where both are left.
+    /// Names and photographs by their last parts, where both remain.
     fn groups(&self, loosely: Loosely, parts: usize) -> Vec<Group> {
         let [of_name, of_photograph] = loosely.extension;
         let mut groups: BTreeMap<String, Group> = BTreeMap::new();
@@ -197,7 +197,7 @@ impl<'a> Lookup<'a> {
         groups.into_values().collect()
     }
 
-    /// Without those that have other folders than all on the other side.
+    /// Removes those whose folders differ from all on the other side.
     fn that_may_mean_each_other(&self, group: Group, parts: usize, folders: Folders) -> Group {
         if folders != Folders::OfTheShorter {
             return group;
@@ -230,8 +230,8 @@ fn before(path: &PhotoPath, parts: usize) -> &str {
     cut.map_or("", |(at, _)| &path.as_str()[..at])
 }
 
-/// The last parts of a path, all where `parts` is the greatest number; `None` where it has fewer,
-/// or no extension to leave out.
+/// The last parts of a path, all of them if `parts` is the maximum; `None` if it has fewer, or no
+/// extension to remove.
 fn key(path: &PhotoPath, leave_out_extension: bool, fold: bool, parts: usize) -> Option<String> {
     let whole = path.as_str();
     let kept = if leave_out_extension {
@@ -252,7 +252,7 @@ fn key(path: &PhotoPath, leave_out_extension: bool, fold: bool, parts: usize) ->
     Some(if fold { key.to_lowercase() } else { key.to_owned() })
 }
 
-/// Whether what stands behind a dot is an extension and not a part of a number.
+/// Whether the text after a dot is an extension rather than part of a number.
 fn is_extension(end: &str) -> bool {
     (1..=5).contains(&end.len())
         && end.starts_with(|c: char| c.is_ascii_alphabetic())

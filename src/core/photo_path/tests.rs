@@ -5,7 +5,7 @@ fn paths(written: &[&str]) -> Vec<PhotoPath> {
     written.iter().map(|path| PhotoPath::new(path)).collect()
 }
 
-/// What `names` mean of `photographs`: the index of the name that each has, or what is said.
+/// The matches of `names` to `photographs`: the index of each photograph's name, or the error.
 fn found(names: &[&str], photographs: &[&str]) -> Result<Vec<Option<usize>>, String> {
     find_each(&paths(names), &paths(photographs)).map_err(|tie| tie.to_string())
 }
@@ -27,17 +27,17 @@ fn a_path_is_the_same_however_systems_write_it() {
 }
 
 #[test]
-fn the_whole_path_wins_and_what_it_leaves_gets_nothing() {
+fn the_whole_path_takes_precedence_and_the_rest_gets_nothing() {
     let photographs = ["cam0/0.jpg", "cam1/0.jpg", "DSC 0.jpg", "DSC_0.jpg", "a.jpg", "a.png"];
     let names = ["DSC_0.jpg", "cam1/0.jpg", "a.png"];
     let expected = vec![None, Some(1), None, Some(0), None, Some(2)];
     assert_eq!(found(&names, &photographs), Ok(expected));
-    // Neighbours in number are not each other.
+    // Consecutive numbers do not match each other.
     assert_eq!(found(&["00002.jpg"], &["00001.jpg", "00003.jpg"]), Ok(vec![None, None]));
 }
 
 #[test]
-fn folders_extensions_and_case_may_differ_where_one_photograph_is_left() {
+fn folders_extensions_and_case_may_differ_if_one_photograph_is_left() {
     for (name, photograph) in [
         ("/home/me/set/images/cam0/0.jpg", "cam0/0.jpg"),
         ("C:\\set\\images\\0.jpg", "0.jpg"),
@@ -52,17 +52,17 @@ fn folders_extensions_and_case_may_differ_where_one_photograph_is_left() {
         let photographs = [photograph, "another/photograph.jpg"];
         assert_eq!(found(&[name], &photographs), Ok(vec![Some(0), None]), "{name}");
     }
-    // Where folders agree elsewhere, another folder is another photograph's.
+    // If folders agree elsewhere, a different folder belongs to another photograph.
     let names = ["cam0/0.jpg", "cam0/1.jpg"];
     assert_eq!(found(&names, &["cam0/0.jpg", "cam1/1.jpg"]), Ok(vec![Some(0), None]));
-    // A number behind a dot is no extension.
+    // A number after a dot is not an extension.
     assert_eq!(found(&["r_0.5"], &["r_0.25.png"]), Ok(vec![None]));
 }
 
 #[test]
-fn a_folder_is_left_out_as_elsewhere_or_where_a_name_is_alone() {
+fn a_folder_is_ignored_as_elsewhere_or_if_a_name_is_unique() {
     for (names, photographs, right) in [
-        // The second camera's photographs are not there; what is called like one is another.
+        // The second camera's photographs are missing; the one with the same name is another.
         (["cam0/3.jpg", "cam1/3.jpg"], ["cam0/3.jpg", "3.jpg"], [Some(0), None]),
         (["cam0/3.jpg", "3.jpg"], ["cam0/3.jpg", "cam1/3.jpg"], [Some(0), None]),
         (["images/a/0.jpg", "images/0.jpg"], ["a/0.jpg", "0.jpg"], [Some(0), Some(1)]),
@@ -75,10 +75,10 @@ fn a_folder_is_left_out_as_elsewhere_or_where_a_name_is_alone() {
 }
 
 #[test]
-fn names_in_other_encodings_stay_apart_and_whole() {
+fn names_in_other_encodings_stay_distinct_and_complete() {
     assert_eq!(decoded("Küche".as_bytes()), "Küche");
     assert_eq!(decoded(b"K\x81che \x80\xff"), "Küche Ç\u{a0}");
-    // In Japan's code page the second byte of some letters is a backslash.
+    // In Japan's code page the second byte of some characters is a backslash.
     assert_eq!(PhotoPath::new(&decoded(b"\x95\x5c.jpg")).folder(), "");
     assert_eq!(PhotoPath::new(&decoded(b"\x95\x5c\\a.jpg")).name(), "a.jpg");
     let of = |first: u8| PhotoPath::new(&decoded(&[first, 0xba, b'.', b'j']));
@@ -88,7 +88,7 @@ fn names_in_other_encodings_stay_apart_and_whole() {
 
 #[test]
 fn a_tie_names_both() {
-    for (names, photographs, told) in [
+    for (names, photographs, words) in [
         (&["0.jpg"][..], &["cam0/0.jpg", "cam1/0.jpg"][..], "`cam0/0.jpg` and `cam1/0.jpg`"),
         (&["cam0/0.jpg", "cam1/0.jpg"], &["0.jpg"], "`cam0/0.jpg` and `cam1/0.jpg` may all be `0"),
         (&["a"], &["a.jpg", "a.png"], "`a.jpg` and `a.png`"),
@@ -97,14 +97,14 @@ fn a_tie_names_both() {
         (&["a.jpg", "a.jpg"], &["a.jpg"], "`a.jpg` has 2 different poses"),
     ] {
         let error = found(names, photographs).expect_err("a tie");
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(words), "{error}");
     }
 }
 
 proptest! {
-    /// However a program writes the paths of photographs down, none has another's name.
+    /// However a program writes the paths of photographs, none gets another's name.
     #[test]
-    fn every_photograph_has_its_own_name_or_nothing_is_said(
+    fn every_photograph_has_its_own_name_or_none(
         photographs in prop::collection::hash_set(
             "((cam[01]|A|a|e\u{301}|b c)/){0,2}(DSC[ _])?[0-3aA](\\.(jpg|JPG|png))", 1..9),
         written in 0..8usize,
@@ -121,7 +121,7 @@ proptest! {
             6 => path.rsplit('/').next().expect("a name").to_owned(),
             _ => path.replace("e\u{301}", "\u{e9}"),
         };
-        // Where less is written down than there is, all photographs have a name.
+        // If the written paths are lossy, all photographs have a name.
         let lossy = (4..7).contains(&written);
         let kept = |at: usize| lossy || left_out >> at & 1 == 0;
         let known: Vec<usize> = (0..photographs.len()).filter(|&at| kept(at)).collect();

@@ -1,5 +1,5 @@
-//! How far two sets of cameras are apart once position, orientation and scale of the worlds are
-//! brought together: structure from motion leaves all three free.
+//! Compares two sets of cameras after aligning position, orientation and scale of their worlds:
+//! structure from motion leaves all three free.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
@@ -17,14 +17,13 @@ pub struct Similarity {
 }
 
 impl Similarity {
-    /// A point moved.
+    /// Transforms a point.
     pub fn apply(&self, point: DVec3) -> DVec3 {
         self.scale * (self.rotation * point) + self.translation
     }
 
-    /// The least-squares rotation and translation between paired points with the ratio of their
-    /// spreads as scale (Horn 1987); `None` for fewer than
-    /// three points or when all coincide.
+    /// The least-squares rotation and translation between paired points, with the ratio of their
+    /// spreads as scale (Horn 1987); `None` for fewer than three points or if all coincide.
     pub fn fit(from: &[DVec3], to: &[DVec3]) -> Option<Self> {
         if from.len() < 3 || from.len() != to.len() {
             return None;
@@ -49,9 +48,9 @@ impl Similarity {
 }
 
 impl Similarity {
-    /// What brings most of the cameras of one world to the same cameras in another; a few may stand
-    /// elsewhere there. By where they stand and how they are turned, so that cameras along a line
-    /// tell, too. `None` for fewer than three, or where all stand at one place.
+    /// The transform that maps most of the cameras of one world to the same cameras in another; a
+    /// few may be elsewhere. Uses positions and orientations, so that cameras along a line suffice,
+    /// too. `None` for fewer than three, or if all are at one place.
     pub fn between(from: &[Camera], to: &[Camera]) -> Option<Self> {
         let mut kept: Vec<usize> = (0..from.len().min(to.len())).collect();
         let mut fit = of_cameras(&kept, from, to)?;
@@ -72,7 +71,7 @@ impl Similarity {
         Some(fit)
     }
 
-    /// A camera moved: what it sees of a world moved likewise stays the same.
+    /// Transforms a camera: its view of an equally transformed world is unchanged.
     pub fn camera(&self, camera: &Camera) -> Camera {
         let rotation = camera.rotation() * DMat3::from_quat(self.rotation.inverse());
         let translation = -(rotation * self.apply(camera.centre()));
@@ -80,11 +79,11 @@ impl Similarity {
     }
 }
 
-/// Fits, each over those that the one before brought within [`TRIM`] times the middle distance.
+/// Number of fits, each over those within [`TRIM`] times the median distance in the previous fit.
 const TRIMS: usize = 4;
 const TRIM: f64 = 2.5;
 
-/// Of where they stand and how they are turned.
+/// Fits positions and orientations.
 fn of_cameras(kept: &[usize], from: &[Camera], to: &[Camera]) -> Option<Similarity> {
     let centres = |cameras: &[Camera]| -> Vec<DVec3> {
         kept.iter().map(|&index| cameras[index].centre()).collect()
@@ -97,7 +96,7 @@ fn of_cameras(kept: &[usize], from: &[Camera], to: &[Camera]) -> Option<Similari
     Similarity::fit(&points(from, arm / by_centres.scale), &points(to, arm))
 }
 
-/// A camera's centre, and what lies an arm to its right and below it.
+/// A camera's centre, and the points at arm's length to its right and below it.
 fn around(camera: &Camera, arm: f64) -> [DVec3; 3] {
     let (centre, back) = (camera.centre(), camera.rotation().transpose());
     [centre, centre + arm * back.x_axis, centre + arm * back.y_axis]
@@ -219,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn most_of_the_cameras_tell_how_two_worlds_relate_even_along_a_line() {
+    fn most_cameras_determine_the_similarity_even_along_a_line() {
         let by = Similarity {
             scale: 2.5,
             rotation: DQuat::from_euler(EulerRot::XYZ, 1.0, 0.3, -2.0),
@@ -242,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_on_a_line_and_two_cameras_are_told_apart() {
+    fn cameras_on_a_line_and_two_cameras_are_distinguished() {
         assert!(compare(&ring(2), &ring(2)).is_none());
         assert!(Similarity::fit(&[DVec3::ONE; 4], &[DVec3::ZERO; 4]).is_none());
     }

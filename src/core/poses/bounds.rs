@@ -13,25 +13,25 @@ use crate::camera::{Camera, Intrinsics};
 
 /// Columns of the file.
 const COLUMNS: usize = 17;
-/// No capture's file is larger, bytes: it holds half a million cameras.
+/// Larger than any capture's file, bytes: half a million cameras.
 const LARGEST: u64 = 64 << 20;
 
-/// A camera with the depths between which its scene lies.
+/// A camera with the depth range of its scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BoundedCamera {
-    /// The camera; one focal length, the principal point in the middle.
+    /// The camera; one focal length, the principal point in the centre.
     pub camera: Camera,
-    /// Nearest depth, world units. Not every file has depths that can be.
+    /// Nearest depth, world units. Some files have impossible depths.
     pub near: f64,
     /// Farthest depth, world units.
     pub far: f64,
 }
 
-/// Reads the rows, which belong to the photographs in the order of their file names; of a row that
-/// is no camera, why it is none.
+/// Reads the rows, which belong to the photographs in the order of their file names; for an invalid
+/// row, the reason.
 ///
 /// # Errors
-/// [`PosesError::BadFile`] when it is no such array or no row is a camera.
+/// [`PosesError::BadFile`] if it is not such an array or no row is a camera.
 pub fn read_poses_bounds(file: &Path) -> Result<Vec<Result<BoundedCamera, String>>, PosesError> {
     let bad_file = |reason: String| PosesError::bad_file(file, reason);
     let length = fs::metadata(file).map_err(PosesError::io(file))?.len();
@@ -95,7 +95,7 @@ fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
 /// Writes the rows.
 ///
 /// # Errors
-/// [`PosesError::BadFile`] when the file cannot be written.
+/// [`PosesError::BadFile`] if the file cannot be written.
 pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), PosesError> {
     let mut values = vec![0.0; rows.len() * COLUMNS];
     for (row, BoundedCamera { camera, near, far }) in values.chunks_exact_mut(COLUMNS).zip(rows) {
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_come_back_as_written() {
+    fn cameras_round_trip() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &[row(), row()]).unwrap();
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn a_header_that_promises_more_than_there_is_takes_no_memory() {
+    fn a_header_that_exceeds_the_data_allocates_no_memory() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("poses_bounds.npy");
         write_poses_bounds(&file, &[row()]).unwrap();
@@ -162,7 +162,7 @@ mod tests {
             read_poses_bounds(&file).is_err()
         };
         assert!(!refused(&good));
-        // 2^50 rows, in the place of one and of the padding at the header's end.
+        // 2^50 rows, in place of one and of the padding at the header's end.
         let (one, many) = (&b"(1, 17)"[..], &b"(1125899906842624, 17)"[..]);
         let at = good.windows(7).position(|part| part == one).unwrap();
         let end = good.iter().position(|&byte| byte == b'\n').unwrap();

@@ -1,27 +1,27 @@
-//! What files give and cannot be used, by name.
+//! Unusable items in files, by name.
 
 use std::fmt::Write as _;
 
-/// Most names that are listed for a reason.
+/// Maximum number of names listed for a reason.
 const MOST: usize = 40;
 
 /// A view, frame or row that is left out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LeftOut {
-    /// What the file calls it.
+    /// Its name in the file.
     pub name: String,
-    /// What is wrong with it, and where.
+    /// The fault and its location.
     pub reason: String,
 }
 
 impl LeftOut {
-    /// From its name and what is wrong with it.
+    /// Creates it from a name and a reason.
     pub fn new(name: impl Into<String>, reason: impl Into<String>) -> Self {
         Self { name: name.into(), reason: reason.into() }
     }
 }
 
-/// For a sentence: each reason once, after the names it holds for.
+/// For a message: each reason once, after the names that it applies to.
 pub fn in_words(left_out: &[LeftOut]) -> String {
     let mut groups: Vec<(&str, Vec<&str>)> = Vec::new();
     for LeftOut { name, reason } in left_out {

@@ -1,8 +1,8 @@
 //! Lens distortion, in COLMAP's and OpenCV's parameters, and its removal.
 //!
-//! COLMAP's `image_undistorter` reads and writes 8-bit files and may
-//! change the size by a pixel. Ours remaps `f32` images in memory, keeps the size, and serves the
-//! ground truth and every working size alike.
+//! COLMAP's `image_undistorter` reads and writes 8-bit files and may change the size by a pixel.
+//! Ours remaps `f32` images in memory, keeps the size, and handles ground truth and every working
+//! size alike.
 
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Intrinsics;
 use crate::image::Image;
 
-/// Radii at which a fraction is fitted to a polynomial.
+/// Number of radii at which a fraction is fitted to a polynomial.
 const FRACTION_STEPS: u32 = 64;
 
-/// Steps to the border in which a fold is looked for.
+/// Number of steps to the border when searching for a fold.
 const FOLD_STEPS: u32 = 16;
 
 /// How the lens bends the normalised image plane (x/z, y/z).
@@ -22,15 +22,15 @@ const FOLD_STEPS: u32 = 16;
 pub enum Distortion {
     /// A perfect pinhole.
     None,
-    /// OpenCV's rational model; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are it with
-    /// zeros.
+    /// OpenCV's rational model; with zeros it covers COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and
+    /// FULL_OPENCV.
     Perspective {
-        /// k1..k6 in OpenCV's order of meaning: numerator k1, k2, k3, denominator k4, k5, k6.
+        /// k1..k6 in OpenCV's order: numerator k1, k2, k3, denominator k4, k5, k6.
         radial: [f64; 6],
         /// p1, p2.
         tangential: [f64; 2],
     },
-    /// 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, as Metashape and nerfstudio mean k1..k4; p1 and p2
+    /// 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, with k1..k4 as in Metashape and nerfstudio; p1 and p2
     /// are OpenCV's.
     Polynomial {
         /// k1..k4.
@@ -55,7 +55,7 @@ pub struct Lens {
 }
 
 impl Distortion {
-    /// Where a point of the undistorted normalised plane lands on the distorted one.
+    /// The distorted position of a point of the undistorted normalised plane.
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let r2 = p.length_squared();
         match *self {
@@ -82,14 +82,14 @@ impl Distortion {
         }
     }
 
-    /// Whether it brings a point back towards the middle on the way from there to this one.
+    /// Whether it moves a point back towards the centre along the way to this one.
     fn folds(&self, p: DVec2) -> bool {
         let bent = |step: u32| self.distort(p * (f64::from(step) / f64::from(FOLD_STEPS)));
         let along = (0..=FOLD_STEPS).map(|step| bent(step).dot(p));
         p != DVec2::ZERO && !along.is_sorted_by(|nearer, farther| nearer < farther)
     }
 
-    /// Whether it bends nothing.
+    /// Whether it changes nothing.
     pub fn is_none(&self) -> bool {
         match *self {
             Self::None => true,
@@ -104,7 +104,7 @@ impl Distortion {
     }
 }
 
-/// What OpenCV's tangential terms add.
+/// The contribution of OpenCV's tangential terms.
 fn decentred(p: DVec2, [p1, p2]: [f64; 2]) -> DVec2 {
     let (r2, cross) = (p.length_squared(), 2.0 * p.x * p.y);
     DVec2::new(p1 * cross + p2 * (r2 + 2.0 * p.x * p.x), p2 * cross + p1 * (r2 + 2.0 * p.y * p.y))
@@ -118,8 +118,8 @@ impl Lens {
         DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy)
     }
 
-    /// The point of the undistorted normalised plane that a photograph's pixel shows: what
-    /// [`Self::pixel`] undoes, by fixed-point iteration.
+    /// The point of the undistorted normalised plane that a photograph's pixel shows: the inverse
+    /// of [`Self::pixel`], by fixed-point iteration.
     pub fn ray(&self, pixel: DVec2) -> DVec2 {
         let k = &self.intrinsics;
         let bent = DVec2::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy);
@@ -132,8 +132,8 @@ impl Lens {
         straight
     }
 
-    /// k1..k6 of OpenCV's rational model that scales radii as a polynomial of k1..k4 does, by least
-    /// squares over the picture; `None` where the polynomial is absurd.
+    /// k1..k6 of OpenCV's rational model that approximates a polynomial of k1..k4, by least squares
+    /// over the picture; `None` if the polynomial is absurd.
     pub(super) fn fraction(&self, [k1, k2, k3, k4]: [f64; 4]) -> Option<[f64; 6]> {
         let k = &self.intrinsics;
         let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
@@ -141,7 +141,7 @@ impl Lens {
         let widest = corners.map(DVec2::length_squared).into_iter().fold(0.0, f64::max);
         let (mut lower, mut right) = ([[0.0; 6]; 6], [0.0; 6]);
         for step in 1..=FRACTION_STEPS {
-            // Powers of the share of the widest square keep the equations well conditioned.
+            // Powers relative to the widest square keep the equations well conditioned.
             let u = f64::from(step) / f64::from(FRACTION_STEPS);
             let r2 = u * widest;
             let bent = r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
@@ -155,14 +155,14 @@ impl Lens {
                 right[i] += row[i] * bent;
             }
         }
-        // Many fractions are as good where a term is zero: a small one is taken.
+        // Many fractions are equally good if a term is zero: prefer a small one.
         (0..6).for_each(|i| lower[i][i] += 1e-12);
         let terms = crate::linear::solve(lower, right)?;
         Some(std::array::from_fn(|i| terms[i] / widest.powi(i as i32 % 3 + 1)))
     }
 
-    /// The pinhole of the same size and principal point with the smallest focal length for which
-    /// every pixel has a source in the photograph: no black borders that training would learn.
+    /// The pinhole of the same size and principal point with the smallest focal length at which
+    /// every pixel has a source in the photograph: no black borders for training to learn.
     pub fn pinhole(&self) -> Intrinsics {
         if self.distortion.is_none() {
             return self.intrinsics;
@@ -191,8 +191,8 @@ impl Lens {
         }
     }
 
-    /// The share of the width that [`Self::pinhole`] shows; 0 where the distortion leaves no part
-    /// of the photograph that a pinhole could show.
+    /// The share of the width that [`Self::pinhole`] shows; 0 if the distortion leaves no part of
+    /// the photograph that a pinhole could show.
     pub fn straight_share(&self) -> f64 {
         let pinhole = self.pinhole();
         match self.distortion.is_none() || self.covers(&pinhole) {
@@ -201,8 +201,8 @@ impl Lens {
         }
     }
 
-    /// Whether the border of `pinhole`'s image falls inside the photograph, before a distortion
-    /// that does not hold there folds the picture back.
+    /// Whether the border of `pinhole`'s image is inside the photograph, before a distortion
+    /// outside its valid range folds the picture back.
     fn covers(&self, pinhole: &Intrinsics) -> bool {
         let (w, h) = (pinhole.width as f64, pinhole.height as f64);
         let inside = |u: f64, v: f64| {
@@ -218,8 +218,8 @@ impl Lens {
     }
 }
 
-/// `image` as `pinhole` sees it: bilinear, border repeated, size kept. `lens` and `pinhole` are
-/// given for one common size and scaled to the image's, so every working size is served.
+/// `image` as seen by `pinhole`: bilinear, border repeated, same size. `lens` and `pinhole` are
+/// given for one common size and scaled to the image's, so every working size is supported.
 pub fn undistort<E>(image: &Image<E>, lens: &Lens, pinhole: &Intrinsics) -> Image<E> {
     let (width, height) = (image.width(), image.height());
     if lens.distortion.is_none() && lens.intrinsics == *pinhole {
@@ -238,7 +238,7 @@ pub fn undistort<E>(image: &Image<E>, lens: &Lens, pinhole: &Intrinsics) -> Imag
     out
 }
 
-/// Bilinear value at a position where pixel centres are whole numbers, the border repeated.
+/// Bilinear value at a position, with pixel centres at whole numbers and the border repeated.
 fn sample<E>(image: &Image<E>, x: f64, y: f64) -> [f32; 3] {
     let x = x.clamp(0.0, (image.width() - 1) as f64);
     let y = y.clamp(0.0, (image.height() - 1) as f64);
@@ -261,7 +261,7 @@ mod tests {
 
     /// training/test_recipe.py has the same numbers.
     #[test]
-    fn what_is_shown_is_where_it_came_from() {
+    fn rays_invert_pixels() {
         let mut ramps = Image::<Srgb>::new(160, 120);
         for (x, y) in (0..160 * 120).map(|i| (i % 160, i / 160)) {
             ramps.set(x, y, [0.2 + 0.004 * x as f32, 0.2 + 0.004 * y as f32, 0.0]);
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn an_undistorted_photograph_is_what_the_pinhole_would_have_taken() {
+    fn an_undistorted_photograph_matches_the_pinholes() {
         for k1 in [-0.15, 0.12] {
             let lens = lens(k1);
             let taken = image_of(&lens.intrinsics, |d| scene(straighten(&lens.distortion, d)));
@@ -332,7 +332,7 @@ mod tests {
     }
 
     #[test]
-    fn the_pinhole_covers_the_whole_frame_and_wastes_nothing() {
+    fn the_pinhole_covers_exactly_the_whole_frame() {
         for k1 in [-0.15, 0.12] {
             let lens = lens(k1);
             let pinhole = lens.pinhole();
@@ -347,11 +347,11 @@ mod tests {
 
     #[test]
     fn the_pinhole_ends_before_a_distortion_folds_the_picture_back() {
-        // r - 9 r^3 turns at the root of 1 / 27, and is as small again farther out.
+        // r - 9 r^3 turns at the root of 1 / 27, and is equally small again farther out.
         let (absurd, turn) = (lens(-9.0), (1.0f64 / 27.0).sqrt());
         let k = absurd.pinhole();
         let corner = DVec2::new(k.cx / k.fx, k.cy / k.fy).length();
-        // It is looked for in steps.
+        // The search has discrete steps.
         let step = 1.0 / f64::from(FOLD_STEPS);
         assert!(corner < (1.0 + step) * turn, "{corner}");
         assert!((absurd.straight_share() - absurd.intrinsics.fx / k.fx).abs() < 1e-12);
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn a_working_size_is_undistorted_as_the_original_is() {
+    fn a_working_size_is_undistorted_like_the_original() {
         let lens = lens(0.12);
         let half = Lens { intrinsics: lens.intrinsics.resized(80, 60), ..lens };
         let taken = image_of(&half.intrinsics, |d| scene(straighten(&lens.distortion, d)));

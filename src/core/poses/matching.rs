@@ -1,26 +1,26 @@
-//! Key points and matches that somebody else than COLMAP finds for it.
+//! Key points and matches supplied to COLMAP from outside.
 
 use std::path::PathBuf;
 
 use super::PosesError;
 use crate::cancel::CancelToken;
 
-/// Which pairs of pictures are looked at.
+/// The pairs of pictures to compare.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pairs {
-    /// Those of one set that may overlap.
+    /// Pairs of one set that may overlap.
     Within,
-    /// Each of the first so many with each of the others.
+    /// Each of the first this many with each of the others.
     Across(usize),
 }
 
 /// Finds key points and their matches in photographs.
 pub trait Matching: Send + Sync {
-    /// The key points of each picture (sRGB files, as bright as COLMAP gets them) and the matches
-    /// of `pairs`. `advance` is told how many parts of how many are done.
+    /// The key points of each picture (sRGB files, at the brightness of COLMAP's copies) and the
+    /// matches of `pairs`. `advance` is called with the number of parts done and the total.
     ///
     /// # Errors
-    /// [`PosesError::Matching`] when the networks fail, [`PosesError::BadFile`],
+    /// [`PosesError::Matching`] if the networks fail, [`PosesError::BadFile`],
     /// [`PosesError::Cancelled`].
     fn matches(
         &self,
@@ -30,7 +30,7 @@ pub trait Matching: Send + Sync {
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError>;
 
-    /// What finds them, in words that change when its answers may.
+    /// A description that changes if the results may change.
     fn describe(&self) -> String;
 }
 
@@ -44,7 +44,7 @@ pub struct Correspondences {
 }
 
 impl Correspondences {
-    /// Without the matches of key points that are not wanted, by picture and x and y in px.
+    /// Removes the matches of unwanted key points, given by picture and x and y in px.
     pub fn retain(&mut self, is_wanted: impl Fn(usize, [f32; 2]) -> bool) {
         let wanted: Vec<Vec<bool>> = { self.key_points.iter().enumerate() }
             .map(|(picture, points)| points.iter().map(|p| is_wanted(picture, *p)).collect())
@@ -64,7 +64,7 @@ pub struct PairMatches {
     pub first: usize,
     /// Index of the second, above that of the first.
     pub second: usize,
-    /// Indices of key points, in the first and in the second.
+    /// Indices of key points, in the first and in the second picture.
     pub matches: Vec<[u32; 2]>,
 }
 

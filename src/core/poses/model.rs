@@ -14,13 +14,13 @@ pub use camera::{CameraModel, ModelCamera};
 pub use rows::{ModelImage, ModelPoint, SparseModel};
 
 impl SparseModel {
-    /// Reads `cameras`, `images` and, where there is one, `points3D`, `.bin` or `.txt`; binary wins
-    /// where both stand. Files of newer versions (`rigs`, `frames`) repeat what a single-sensor
-    /// model says already and are not read.
+    /// Reads `cameras`, `images` and, if present, `points3D`, `.bin` or `.txt`; binary takes
+    /// precedence if both exist. Files of newer versions (`rigs`, `frames`) repeat the content of a
+    /// single-sensor model and are not read.
     ///
     /// # Errors
-    /// [`PosesError::Io`] and [`PosesError::BadFile`]; a file cut short is an error, never a short
-    /// model, and so is a row that cannot be used.
+    /// [`PosesError::Io`] and [`PosesError::BadFile`]; a truncated file is an error, never a
+    /// partial model, and so is an unusable row.
     pub fn read(dir: &Path) -> Result<Self, PosesError> {
         let (model, left_out) = Self::read_usable(dir)?;
         match left_out.is_empty() {
@@ -29,10 +29,10 @@ impl SparseModel {
         }
     }
 
-    /// As [`Self::read`], without the rows whose numbers or cameras cannot be used, by name.
+    /// As [`Self::read`], without the rows with unusable numbers or cameras, which are named.
     ///
     /// # Errors
-    /// Those of [`Self::read`] for all else.
+    /// Those of [`Self::read`] for everything else.
     pub fn read_usable(dir: &Path) -> Result<(Self, Vec<LeftOut>), PosesError> {
         let is_binary = |name: &str| file(dir, &format!("{name}.bin")).is_file();
         let (mut model, unread) = if ["cameras", "images"].into_iter().all(is_binary) {
@@ -65,13 +65,13 @@ impl SparseModel {
         binary::write(self, dir)
     }
 
-    /// Whether `dir` holds a model.
+    /// Whether `dir` contains a model.
     pub fn stands_in(dir: &Path) -> bool {
         ["cameras.bin", "cameras.txt"].iter().any(|name| file(dir, name).is_file())
     }
 }
 
-/// A file of a model, whose name may be written in any case where it is not there as COLMAP has it.
+/// A file of a model; if COLMAP's exact name is missing, any case is accepted.
 fn file(dir: &Path, name: &str) -> PathBuf {
     let exact = dir.join(name);
     let is_it = |path: &PathBuf| path.file_name().is_some_and(|own| own.eq_ignore_ascii_case(name));
@@ -82,7 +82,7 @@ fn file(dir: &Path, name: &str) -> PathBuf {
     }
 }
 
-/// The points of a model; none where the file is not there, as they can be triangulated.
+/// The points of a model; none if the file is missing, as they can be triangulated.
 fn points(
     dir: &Path,
     name: &str,

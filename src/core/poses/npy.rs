@@ -1,6 +1,6 @@
 //! Tables of numbers in NumPy's format (NEP 1): float64 or float32, two dimensions.
 
-/// Where the header's length stands, by the format's version.
+/// Position of the header's length, by format version.
 const LENGTH_AT: usize = 8;
 const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -16,10 +16,10 @@ impl Table {
         self.values.chunks_exact(self.columns.max(1))
     }
 
-    /// Reads a file's content. Takes no more memory than the values in it.
+    /// Reads a file's content. Allocates no more memory than its values need.
     ///
     /// # Errors
-    /// The reason, for a user.
+    /// The reason, for the user.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let (header, values) = parts(bytes).ok_or("it is cut short, or no array")?;
         let no_table = "it is no array of two dimensions";
@@ -50,7 +50,7 @@ impl Table {
         Ok(Self { columns, values })
     }
 
-    /// The content of a file: float64.
+    /// The content of a file, as float64.
     pub fn to_bytes(&self) -> Vec<u8> {
         let rows = self.values.len() / self.columns.max(1);
         let header = format!(
@@ -83,7 +83,7 @@ fn parts(bytes: &[u8]) -> Option<(&str, &[u8])> {
     Some((str::from_utf8(header).ok()?, values))
 }
 
-/// The value of a key of the header, which is a dictionary as Python prints one.
+/// The value of a key of the header, which is a dictionary in Python syntax.
 fn field<'a>(header: &'a str, key: &str) -> Option<&'a str> {
     let (_, after) = header.split_once(&format!("'{key}':"))?;
     let after = after.trim_start();

@@ -1,4 +1,4 @@
-//! A picture of the poses to look at: cameras and points from above.
+//! A picture of the poses: cameras and points from above.
 
 use std::fmt::Write as _;
 
@@ -7,23 +7,23 @@ use glam::{DVec2, DVec3};
 use super::{PoseStatus, Poses};
 use crate::camera::Camera;
 
-/// Width and height of what is drawn, px.
+/// Width and height of the drawing, px.
 const SIDE: f64 = 800.0;
 
-/// Around it, px.
+/// Margin around it, px.
 const MARGIN: f64 = 40.0;
 
-/// Most points that are drawn.
+/// Maximum number of points drawn.
 const POINTS: usize = 3000;
 
-/// Share of the points on each side that may lie outside: some are far away by mistake.
+/// Share of the points on each side that may be outside: some are far away by mistake.
 const OUTLIERS: f64 = 0.03;
 
 /// Length of a camera, px.
 const CAMERA: f64 = 16.0;
 
-/// Points, cameras and their names, seen along the direction that is up in the photographs, as an
-/// SVG file; what has no place is named below.
+/// Points, cameras and their names, seen along the up direction of the photographs, as an SVG file;
+/// views without a pose are listed below.
 pub fn svg(poses: &Poses) -> String {
     let cameras: Vec<&Camera> = poses.views.iter().map(|view| &view.camera).collect();
     let plan =
@@ -73,7 +73,7 @@ pub fn svg(poses: &Poses) -> String {
     text
 }
 
-/// What the picture does not show.
+/// Notes on what the picture does not show.
 fn notes(poses: &Poses) -> Vec<String> {
     let named = |status: PoseStatus, words: &str| {
         let verdicts = poses.verdicts.iter().filter(|verdict| verdict.status == status);
@@ -96,11 +96,11 @@ fn notes(poses: &Poses) -> Vec<String> {
     std::iter::once(count).chain(missing.into_iter().flatten()).collect()
 }
 
-/// The ground plane on the picture.
+/// The ground plane in the picture.
 struct Plan {
     right: DVec3,
     down: DVec3,
-    /// Of the world, at the corner of what is drawn.
+    /// The corner of the drawing, in world coordinates.
     corner: DVec2,
     /// px of the picture.
     scale: f64,
@@ -142,7 +142,7 @@ impl Plan {
         (flat - self.corner) * self.scale + DVec2::splat(MARGIN)
     }
 
-    /// A direction, as long as it is flat.
+    /// A direction, shortened by its slope.
     fn turn(&self, direction: DVec3) -> DVec2 {
         DVec2::new(direction.dot(self.right), direction.dot(self.down))
     }
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn every_camera_is_drawn_with_its_name_and_what_is_missing_is_said() {
+    fn every_camera_is_drawn_with_its_name_and_missing_ones_are_listed() {
         let text = svg(&ring(12));
         assert_eq!(text.matches("<text").count(), 12 + 3);
         assert!(text.contains(">view11</text>"));
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn from_above_a_ring_is_a_ring_whose_cameras_look_inwards() {
+    fn a_ring_is_drawn_as_a_ring_whose_cameras_look_inwards() {
         let poses = ring(12);
         let cameras: Vec<&Camera> = poses.views.iter().map(|view| &view.camera).collect();
         let plan = Plan::new(&cameras, &[]);
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn poses_without_points_or_views_are_a_picture_too() {
+    fn poses_without_points_or_views_are_drawn_too() {
         let mut poses = ring(3);
         poses.points.clear();
         assert!(!svg(&poses).contains("NaN"));

@@ -1,5 +1,5 @@
-//! Where a photograph was taken from, by points of known places that it shows (perspective from n
-//! points): by RANSAC over three of them, then by least squares over all that agree.
+//! The viewpoint of a photograph from known points that it shows (perspective from n points): by
+//! RANSAC over three of them, then by least squares over all that agree.
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -8,16 +8,17 @@ use rand_pcg::Pcg64Mcg;
 use crate::camera::{Camera, Intrinsics};
 use crate::linear::solve;
 
-/// Choices of three points. With a third of the points right, one in 27 is of right ones alone.
+/// Number of samples of three points. With a third of the points right, one sample in 27 has only
+/// right ones.
 const TRIES: usize = 1000;
-/// Steps of the least squares; it converges in a few.
+/// Least-squares steps; a few suffice.
 const STEPS: usize = 20;
-/// Three points give up to four cameras; fewer than this many that agree do not choose one.
+/// Three points give up to four cameras; fewer agreeing points do not select one.
 const LEAST_POINTS: usize = 6;
-/// Of the angle at which two rays must meet: two degrees.
+/// Sine of the smallest angle between two rays: two degrees.
 const LEAST_SINE: f64 = 0.035;
 
-/// A place of the scene and where the photograph shows it.
+/// A scene point and its pixel in the photograph.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sighting {
     /// px; the centre of the first pixel is (0.5, 0.5).
@@ -26,19 +27,19 @@ pub struct Sighting {
     pub point: DVec3,
 }
 
-/// A camera that was found.
+/// A camera found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Resection {
-    /// Where it stands.
+    /// The camera.
     pub camera: Camera,
     /// Indices of the sightings that agree with it.
     pub inliers: Vec<usize>,
-    /// Root mean square distance of these from where the camera sees them, px.
+    /// Root mean square distance of their pixels from the camera's projections, px.
     pub rms_px: f64,
 }
 
-/// The camera that sees most of the points within `near_px` of where the photograph shows them;
-/// `None` where fewer than six agree. Equal for an equal `seed`.
+/// The camera that projects most of the points within `near_px` of their pixels; `None` if fewer
+/// than six agree. Equal for an equal `seed`.
 pub fn resect(
     intrinsics: &Intrinsics,
     sightings: &[Sighting],
@@ -63,7 +64,7 @@ pub fn resect(
     }
     let (_, mut camera) = best?;
     let mut inliers = agreeing(&camera, sightings, near_px);
-    // More agree with what the first ones say together; these may say it a little differently.
+    // More points agree with the joint fit of the first ones; they may change it slightly.
     for _ in 0..STEPS {
         if inliers.len() < LEAST_POINTS {
             return None;
@@ -80,7 +81,7 @@ pub fn resect(
 }
 
 /// The point that most of the cameras see within `near_px` of these pixels, at least two, from
-/// directions that tell how far away it is; `None` where there is none.
+/// directions that determine its distance; `None` if there is none.
 pub fn meeting(seen: &[(&Camera, DVec2)], near_px: f64) -> Option<DVec3> {
     let ray = |(camera, pixel): &(&Camera, DVec2)| {
         let k = &camera.intrinsics;
@@ -109,7 +110,7 @@ pub fn meeting(seen: &[(&Camera, DVec2)], near_px: f64) -> Option<DVec3> {
     best.map(|(_, point)| point)
 }
 
-/// The middle of where two rays come nearest; `None` where they are too parallel to tell.
+/// The midpoint of the shortest connection of two rays; `None` if they are too parallel.
 fn nearest((a, along_a): (DVec3, DVec3), (b, along_b): (DVec3, DVec3)) -> Option<DVec3> {
     let cosine = along_a.dot(along_b);
     let sine2 = 1.0 - cosine * cosine;
@@ -133,8 +134,8 @@ fn agreeing(camera: &Camera, sightings: &[Sighting], near_px: f64) -> Vec<usize>
     (0..sightings.len()).filter(near).collect()
 }
 
-/// A step of Gauss and Newton over the inliers; those far off count by their distance, not by its
-/// square (Huber).
+/// A Gauss-Newton step over the inliers; distant ones count linearly instead of by their square
+/// (Huber).
 fn step(
     camera: &Camera,
     sightings: &[Sighting],
@@ -149,8 +150,8 @@ fn step(
         let (pixel, _) = camera.project(sighting.point)?;
         let missing = sighting.pixel - pixel;
         let weight = (bend / missing.length().max(bend)).min(1.0);
-        // How the pixel moves as the point does, in the camera's axes; a turn moves it by its cross
-        // product.
+        // The pixel's derivative by the point, in the camera's axes; a rotation moves the point by
+        // its cross product.
         let by_point = [
             DVec3::new(k.fx / at.z, 0.0, -k.fx * at.x / (at.z * at.z)),
             DVec3::new(0.0, k.fy / at.z, -k.fy * at.y / (at.z * at.z)),
@@ -173,9 +174,9 @@ fn step(
     Some(Camera { world_to_camera: motion * camera.world_to_camera, ..*camera })
 }
 
-/// From world to camera, up to four ways, by three sightings: Grunert's solution (1841) as in
-/// Haralick, Lee, Ottenberg and Noelle, "Review and analysis of solutions of the three point
-/// perspective pose estimation problem" (1994). None where two of the sightings are one.
+/// From world to camera, up to four solutions, from three sightings: Grunert's solution (1841) as
+/// in Haralick, Lee, Ottenberg and Noelle, "Review and analysis of solutions of the three point
+/// perspective pose estimation problem" (1994). None if two of the sightings coincide.
 fn from_three(intrinsics: &Intrinsics, three: &[Sighting; 3]) -> Vec<DMat4> {
     let k = intrinsics;
     let points = three.map(|sighting| sighting.point);
@@ -221,7 +222,7 @@ fn from_three(intrinsics: &Intrinsics, three: &[Sighting; 3]) -> Vec<DMat4> {
     found
 }
 
-/// What brings three points onto three others of the same triangle.
+/// The transform of three points onto three others of the same triangle.
 fn rigid(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<DMat4> {
     let frame = |[a, b, c]: &[DVec3; 3]| {
         let x = (b - a).try_normalize()?;
@@ -234,7 +235,7 @@ fn rigid(from: &[DVec3; 3], to: &[DVec3; 3]) -> Option<DMat4> {
     is_finite.then(|| DMat4::from_mat3_translation(rotation, translation))
 }
 
-/// The positive real roots of a quartic, its constant first, by Durand and Kerner's iteration.
+/// The positive real roots of a quartic, constant term first, by Durand-Kerner iteration.
 fn positive_roots(quartic: &[f64; 5]) -> Vec<f64> {
     let lead = quartic[4];
     if !quartic.iter().all(|value| value.is_finite()) || lead.abs() < 1e-12 {
@@ -247,7 +248,7 @@ fn positive_roots(quartic: &[f64; 5]) -> Vec<f64> {
         let rest = monic[..4].iter().rev();
         rest.fold(DVec2::X, |sum, of| times(sum, at) + DVec2::new(*of, 0.0))
     };
-    // All on a circle that holds every root, none on the real axis.
+    // All on a circle that contains every root, none on the real axis.
     let radius = 1.0 + monic[..4].iter().fold(0.0, |most: f64, of| most.max(of.abs()));
     let mut roots: [DVec2; 4] = std::array::from_fn(|i| {
         radius.min(4.0) * DVec2::from_angle(0.4 + std::f64::consts::FRAC_PI_2 * i as f64)
@@ -276,7 +277,7 @@ mod tests {
         Camera::look_at(intrinsics(), eye, DVec3::new(0.1, 0.2, 0.3), DVec3::Y)
     }
 
-    /// Points before the camera, each where it is seen but for `noise` px.
+    /// Points in front of the camera, each at its projection plus `noise` px.
     fn sightings(count: usize, noise: f64, seed: u64) -> Vec<Sighting> {
         let mut rng = Pcg64Mcg::seed_from_u64(seed);
         let mut side = |size: f64| size * (2.0 * rng.random::<f64>() - 1.0);
@@ -296,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn three_points_give_the_camera_among_their_answers() {
+    fn three_points_include_the_camera_in_their_solutions() {
         for seed in 0..50 {
             let three: [Sighting; 3] = sightings(3, 0.0, seed).try_into().expect("three");
             let nearest = from_three(&intrinsics(), &three)
@@ -329,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn rays_meet_where_the_point_is_and_parallel_or_wrong_ones_nowhere() {
+    fn rays_meet_at_the_point_and_parallel_or_wrong_ones_nowhere() {
         let intrinsics = intrinsics();
         let cameras = [-0.5, 0.0, 0.4, 0.41].map(|x| {
             let eye = DVec3::new(x, 0.1, -2.5);
@@ -349,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn what_shows_nothing_has_no_camera() {
+    fn a_photograph_without_sightings_has_no_camera() {
         let one = sightings(1, 0.0, 1)[0];
         assert_eq!(resect(&intrinsics(), &[one; 40], 4.0, 1), None);
         assert_eq!(resect(&intrinsics(), &sightings(5, 0.0, 1), 4.0, 1), None);

@@ -1,29 +1,29 @@
-//! Rotations as other programs wrote them.
+//! Rotations written by other programs.
 
 use glam::DMat3;
 
-/// Lengths and right angles that are off by less are right but for rounding.
+/// Lengths and right angles that are off by less differ only by rounding.
 const EXACT: f64 = 1e-3;
 
-/// Axes that differ more from those of a rotation, once their common length is taken out, are no
-/// rounded ones.
+/// Axes that differ more from those of a rotation, after removing their common length, are not
+/// rounding errors.
 const BENT: f64 = 0.05;
 
-/// The rotation that a matrix was meant to be.
+/// The intended rotation of a matrix.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rotation {
     /// Orthonormal.
     pub matrix: DMat3,
-    /// The length that its axes had.
+    /// The original length of its axes.
     pub scale: f64,
-    /// Whether there was more to put right than the last digits.
+    /// Whether the correction exceeded rounding.
     pub is_mended: bool,
 }
 
-/// The nearest rotation to a matrix that is one but for a scale or rounding.
+/// The nearest rotation to a matrix that is one except for scale or rounding.
 ///
 /// # Errors
-/// What else the matrix is.
+/// Describes the matrix if it is not.
 pub fn rotation(matrix: DMat3) -> Result<Rotation, String> {
     let determinant = matrix.determinant();
     if !matrix.is_finite() || !determinant.is_finite() {
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rotation_is_refused() {
+    fn matrices_that_are_not_rotations_are_refused() {
         let stretched = DMat3::from_diagonal(DVec3::new(1.0, 1.3, 1.0));
         assert!(rotation(stretched).unwrap_err().contains("right angles"));
         assert!(rotation(DMat3::ZERO).is_err());

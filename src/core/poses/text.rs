@@ -1,11 +1,11 @@
-//! Text files as editors and shells of every system write them.
+//! Text files as written by editors and shells of every system.
 
 use std::path::Path;
 
 use super::PosesError;
 use crate::photo_path::decoded;
 
-/// The content of a file of poses.
+/// The content of a pose file.
 pub fn bytes(file: &Path) -> Result<Vec<u8>, PosesError> {
     let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
     if bytes.starts_with(b"version https://git-lfs") {
@@ -15,8 +15,8 @@ pub fn bytes(file: &Path) -> Result<Vec<u8>, PosesError> {
     Ok(bytes)
 }
 
-/// The text of a file, after its byte order mark: UTF-8, or UTF-16 where the mark says so. A line
-/// that is no UTF-8 has a name in another encoding, and the numbers beside it still count.
+/// The text of a file, after its byte order mark: UTF-8, or UTF-16 if the mark says so. A line that
+/// is not UTF-8 contains a name in another encoding, and its numbers still count.
 pub fn read(file: &Path) -> Result<String, PosesError> {
     let bytes = bytes(file)?;
     let narrow = |bytes: &[u8]| -> String {

@@ -1,4 +1,4 @@
-//! Cameras and lenses of a picture that is turned upright.
+//! Cameras and lenses of a picture that is rotated upright.
 
 use glam::{DMat2, DMat4, DVec2, DVec3, DVec4};
 
@@ -6,16 +6,16 @@ use super::{Distortion, Lens};
 use crate::camera::Intrinsics;
 use crate::image::Orientation;
 
-/// What an orientation does to directions in the picture: a rotation by quarters, or one with a
-/// mirror.
+/// The effect of an orientation on directions in the picture: a rotation by quarter turns, possibly
+/// mirrored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Turn(DMat2);
 
 impl Turn {
-    /// From the picture as it is stored to the upright one.
+    /// From the stored picture to the upright one.
     pub fn upright(orientation: Orientation) -> Self {
         let (right, down) = (DVec2::X, DVec2::Y);
-        // Where the stored picture's right and down point to once it stands upright.
+        // The directions of the stored picture's right and down in the upright one.
         let (x, y) = match orientation {
             Orientation::NoTransforms => (right, down),
             Orientation::FlipHorizontal => (-right, down),
@@ -34,17 +34,18 @@ impl Turn {
         self.0 == DMat2::IDENTITY
     }
 
-    /// Whether width becomes height.
+    /// Whether width and height are swapped.
     pub fn swaps_sides(self) -> bool {
         self.0.x_axis.x == 0.0
     }
 
-    /// Whether left and right change places: no camera takes such a picture of the same world.
+    /// Whether left and right are swapped: no camera takes such a picture of the same world.
     pub fn is_mirrored(self) -> bool {
         self.0.determinant() < 0.0
     }
 
-    /// The sides of a picture after the turn; before it, too, as a turn swaps them or does not.
+    /// The size of a picture after the turn, and also before it, as a turn either swaps the sides
+    /// or not.
     pub fn size(self, (width, height): (usize, usize)) -> (usize, usize) {
         match self.swaps_sides() {
             true => (height, width),
@@ -52,18 +53,18 @@ impl Turn {
         }
     }
 
-    /// The turn in the camera's space: what goes before its transform from world to camera.
+    /// The turn in camera space, applied after the transform from world to camera.
     pub fn of_camera(self) -> DMat4 {
         let axis = |v: DVec2| DVec4::new(v.x, v.y, 0.0, 0.0);
         DMat4::from_cols(axis(self.0.x_axis), axis(self.0.y_axis), DVec4::Z, DVec4::W)
     }
 
-    /// The lens of the turned picture.
+    /// The lens of the rotated picture.
     pub fn lens(self, lens: &Lens) -> Lens {
         let k = &lens.intrinsics;
         let (width, height) = self.size((k.width, k.height));
         let size = DVec2::new(k.width as f64, k.height as f64);
-        // About the middle a point turns as a direction does.
+        // Relative to the centre a point rotates like a direction.
         let turned = self.0 * (DVec2::new(k.cx, k.cy) - 0.5 * size);
         let centre = turned + 0.5 * DVec2::new(width as f64, height as f64);
         let (fx, fy) = match self.swaps_sides() {
@@ -74,8 +75,8 @@ impl Turn {
         Lens { intrinsics, distortion: self.distortion(lens.distortion) }
     }
 
-    /// Radial terms look the same from every side. The tangential ones bend p by
-    /// 2 (t p) p + |p|^2 t with t = (p2, p1), so t turns as a direction.
+    /// Radial terms look the same from every side. The tangential ones move p by 2 (t p) p + |p|^2
+    /// t with t = (p2, p1), so t rotates like a direction.
     fn distortion(self, distortion: Distortion) -> Distortion {
         let turned = |[p1, p2]: [f64; 2]| {
             let t = self.0 * DVec2::new(p2, p1);
@@ -93,7 +94,7 @@ impl Turn {
     }
 }
 
-/// The mirrored world, in which the mirrored pictures of this one are those of a camera.
+/// The mirrored world, whose camera pictures are the mirrored pictures of this one.
 pub fn mirror() -> DMat4 {
     DMat4::from_scale(DVec3::new(-1.0, 1.0, 1.0))
 }

@@ -14,7 +14,7 @@ const ARRAYS: usize = 7;
 /// Bytes of the hash at the end.
 const HASH: usize = 32;
 
-/// The bytes are no checkpoint of this version, or one of other inputs.
+/// The bytes are not a checkpoint of this version, or belong to other inputs.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("checkpoint: {0}")]
 pub struct CheckpointError(pub String);

@@ -109,17 +109,17 @@ impl StepUniform {
     /// The parameters of `step` in a round with `count` Gaussians and a scene of `extent` world
     /// units. `mcmc`: whether MCMC densifies; without it there is neither regulariser nor noise.
     pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, mcmc: bool) -> Self {
-        let (relative, haste) = (schedule.means_rate(step), schedule.haste());
+        let (relative, speedup) = (schedule.means_rate(step), schedule.speedup());
         let t = step as i32 + 1;
         let weight = if mcmc { REGULARISER / count.max(1) as f64 } else { 0.0 };
         // Scales have a length: in units of the extent, a scene takes the same step at any scale.
         let explores = mcmc && schedule.explores(step);
         let noise = if explores { NOISE * relative / extent } else { 0.0 };
         Self {
-            rates: [relative * extent, haste * RATE_LOG_SCALE, haste * RATE_QUAT, RATE_OPACITY]
+            rates: [relative * extent, speedup * RATE_LOG_SCALE, speedup * RATE_QUAT, RATE_OPACITY]
                 .map(|v| v as f32),
-            rate_sh0: (haste * RATE_SH0) as f32,
-            rate_sh: (haste * RATE_SH) as f32,
+            rate_sh0: (speedup * RATE_SH0) as f32,
+            rate_sh: (speedup * RATE_SH) as f32,
             bias_m: (1.0 / (1.0 - BETA_M.powi(t))) as f32,
             bias_v: (1.0 / (1.0 - BETA_V.powi(t))) as f32,
             opacity_weight: weight as f32,

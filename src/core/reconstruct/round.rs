@@ -1,4 +1,4 @@
-//! What a round of training takes and gives.
+//! The inputs and results of a training round.
 
 use fled_gpu::GpuError;
 

@@ -17,10 +17,10 @@ const SMALLEST_SIDE: usize = 32;
 /// steps are larger; with the published rates, splats hardly leave their points in 1,000 steps.
 const PUBLISHED_STEPS: f64 = 30_000.0;
 /// Largest factor of the means' rate, so that a round of 1,500 steps moves them as far.
-const MOST_MEANS_HASTE: f64 = 20.0;
+const MOST_MEANS_SPEEDUP: f64 = 20.0;
 /// Largest factor of all other rates except that of opacities, which is the square root of
 /// [`PUBLISHED_STEPS`] over the steps of the round.
-const MOST_HASTE: f64 = 5.0;
+const MOST_SPEEDUP: f64 = 5.0;
 /// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units per
 /// step at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
@@ -117,15 +117,15 @@ impl Schedule {
     }
 
     /// Factor of the rates of scales, quaternions and colours for the length of the round.
-    pub fn haste(&self) -> f64 {
-        self.shortness().sqrt().clamp(1.0, MOST_HASTE)
+    pub fn speedup(&self) -> f64 {
+        self.shortness().sqrt().clamp(1.0, MOST_SPEEDUP)
     }
 
     /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
     pub fn means_rate(&self, step: u32) -> f64 {
         let (start, end) = MEANS_RATES;
-        let haste = self.shortness().clamp(1.0, MOST_MEANS_HASTE);
-        haste * start * (end / start).powf(self.share(step))
+        let speedup = self.shortness().clamp(1.0, MOST_MEANS_SPEEDUP);
+        speedup * start * (end / start).powf(self.share(step))
     }
 
     /// Whether the means explore at `step`.
@@ -259,7 +259,7 @@ mod tests {
     fn short_rounds_take_larger_steps_up_to_a_limit() {
         let of = |steps| Schedule { steps, ..PLAN };
         assert_eq!(
-            [of(100_000).haste(), of(30_000).haste(), of(7_500).haste(), of(10).haste()],
+            [of(100_000).speedup(), of(30_000).speedup(), of(7_500).speedup(), of(10).speedup()],
             [1.0, 1.0, 2.0, 5.0]
         );
         assert!((of(3_000).means_rate(0) - 1.6e-3).abs() < 1e-12);
@@ -314,12 +314,12 @@ mod tests {
     #[test]
     fn the_published_pace_is_that_of_3dgs() {
         let plan = Schedule { steps: 10_000, pace: Pace::Published, resolution: false, ..PLAN };
-        assert_eq!(plan.haste(), 1.0);
+        assert_eq!(plan.speedup(), 1.0);
         assert!((plan.means_rate(0) - 1.6e-4).abs() < 1e-12);
         assert!((plan.means_rate(5_000) - 1.6e-5).abs() < 1e-12);
         assert!((plan.means_rate(10_000) - 1.6e-6).abs() < 1e-12);
         let short = Schedule { steps: 100, ..plan };
-        assert_eq!((short.haste(), short.means_rate(0)), (1.0, plan.means_rate(0)));
+        assert_eq!((short.speedup(), short.means_rate(0)), (1.0, plan.means_rate(0)));
         let steps = |test: &dyn Fn(u32) -> bool| -> Vec<u32> {
             (0..plan.steps).filter(|&step| test(step)).collect()
         };

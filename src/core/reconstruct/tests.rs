@@ -162,7 +162,7 @@ fn covered(views: &[TrainingView], colour: [f32; 3], is_masked: bool) -> Vec<Tra
 }
 
 #[test]
-fn what_is_masked_does_not_reach_the_scene() {
+fn masked_pixels_do_not_affect_the_scene() {
     let scene = truth(200, 5);
     let angles: Vec<_> = (0..7).map(|n| -0.6 + 0.2 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);

@@ -33,7 +33,7 @@ const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 /// Steps between inspections of the noise map.
 const INSPECT: u32 = 100;
 /// Steps between reports of the state of training, at which nothing is in flight.
-const TOLD: u32 = 25;
+const REPORT_EVERY: u32 = 25;
 
 /// The state of a round.
 pub(super) struct Trainer<'a> {
@@ -41,7 +41,7 @@ pub(super) struct Trainer<'a> {
     schedule: Schedule,
     model: ForwardModel<'a>,
     scene: Box<dyn Training>,
-    /// 4, 2 or 1: what the images are reduced by.
+    /// 4, 2 or 1: the divisor of the images' size.
     divisor: usize,
     noise_seen: Vec<NoiseMapStatistics>,
     warnings: Vec<String>,
@@ -115,7 +115,7 @@ impl<'a> Trainer<'a> {
     fn train_to(&mut self, last: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
         let begin = Instant::now();
         let first = self.next;
-        let (mut told, mut kept) = (begin, Kept::now(first));
+        let (mut reported, mut kept) = (begin, Kept::now(first));
         loop {
             let is_asked = hooks.cancel.is_cancelled();
             if is_asked && hooks.checkpoint.is_none() {
@@ -157,8 +157,8 @@ impl<'a> Trainer<'a> {
             self.idle.extend((self.scene.in_flight() == 0).then_some(step));
             self.submit(step)?;
             self.settle(IN_FLIGHT - 1)?;
-            if told.elapsed() >= self.progress_every {
-                told = Instant::now();
+            if reported.elapsed() >= self.progress_every {
+                reported = Instant::now();
                 let rate = f64::from(self.next - first) / begin.elapsed().as_secs_f64();
                 (hooks.progress)(u64::from(self.next), u64::from(self.config.steps), rate);
             }
@@ -170,7 +170,7 @@ impl<'a> Trainer<'a> {
         let Some(seen) = &mut hooks.seen else {
             return Ok(());
         };
-        if self.next > first && self.next.is_multiple_of(TOLD) {
+        if self.next > first && self.next.is_multiple_of(REPORT_EVERY) {
             seen(Seen { step: self.next, loss: self.scene.loss()?, gaussians: self.scene.count() });
         }
         Ok(())

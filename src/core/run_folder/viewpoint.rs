@@ -1,15 +1,15 @@
-//! From where a picture of a scene is asked for, and with which camera it is made.
+//! The requested viewpoint of a picture of a scene, and the camera that renders it.
 
 use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, Intrinsics, NamedCamera};
 use crate::capture::view_names;
 
-/// From where a picture of the scene is asked for.
+/// The viewpoint of a picture of the scene.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Viewpoint {
-    /// From the camera of the view of this name, or of the photograph of this name.
+    /// The camera of the view with this name, or of the photograph with this name.
     View(String),
-    /// From an orbit around the scene; see [`Orbit::camera`].
+    /// On an orbit around the scene; see [`Orbit::camera`].
     Orbit {
         /// Degrees to the right of the middle of the photographers.
         azimuth: f64,
@@ -18,25 +18,25 @@ pub enum Viewpoint {
         /// Times their median distance from the centre, 0.01..=100.
         distance: f64,
     },
-    /// From a camera of the asker's own.
+    /// A camera given by the caller.
     Pose(Camera),
 }
 
-/// Why a viewpoint is none.
+/// Why a viewpoint is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum ViewpointError {
-    /// The run has no view of this name.
+    /// The run has no view with this name.
     #[error("no view `{name}`; there are {known}")]
     UnknownView {
-        /// As asked for.
+        /// The requested name.
         name: String,
-        /// Those that the run has.
+        /// The run's views.
         known: String,
     },
-    /// The run's cameras say nothing about where the scene is.
+    /// The run's cameras do not determine where the scene is.
     #[error("the cameras of this run span no orbit")]
     NoOrbit,
-    /// A number of the orbit is infinite or none.
+    /// A number of the orbit is not finite.
     #[error("`{0}` is no finite number")]
     NotFinite(&'static str),
     /// The orbit is too near or too far.
@@ -44,7 +44,7 @@ pub enum ViewpointError {
     Distance,
 }
 
-/// The size that is asked for, px. A side that is not given follows the view's proportions.
+/// The requested size, px. A missing side follows the view's proportions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PictureSize {
     /// px.
@@ -60,7 +60,7 @@ impl From<Option<(usize, usize)>> for PictureSize {
 }
 
 impl PictureSize {
-    /// Width and height of a picture of what a camera of size `own` sees.
+    /// Width and height of a picture for a camera of size `own`.
     fn resolve(self, own: &Intrinsics) -> (usize, usize) {
         let in_proportion = |side: usize, this: usize, other: usize| {
             let scaled = side as f64 * other as f64 / this as f64;
@@ -76,9 +76,9 @@ impl PictureSize {
 }
 
 impl Viewpoint {
-    /// The camera of a picture of this size, of the scene whose views have these cameras. Pixels
-    /// stay as square as the photograph's: in a picture of other proportions all that the
-    /// photograph sees is seen, and more beside it.
+    /// The camera of a picture of this size, for the scene whose views have these cameras. Pixels
+    /// stay as square as the photograph's: a picture with other proportions shows all of the
+    /// photograph's field of view, and more beside it.
     ///
     /// # Errors
     /// [`ViewpointError`].
@@ -91,7 +91,7 @@ impl Viewpoint {
             Self::View(name) => {
                 let named = |name: &str| cameras.iter().find(|camera| camera.name == *name);
                 let taken = |photograph: &str| named(&view_names([photograph].into_iter())[0]);
-                // With its extension, or without one that has a dot in it.
+                // With its extension, or a name without one that contains a dot.
                 let view = named(name).or_else(|| taken(name));
                 let view = view.or_else(|| taken(&format!("{name}.")));
                 let view = view.ok_or_else(|| unknown(name, cameras))?;
@@ -123,8 +123,8 @@ fn finite(name: &'static str, value: f64) -> Result<f64, ViewpointError> {
     if value.is_finite() { Ok(value) } else { Err(ViewpointError::NotFinite(name)) }
 }
 
-/// The same pose in a picture of another size: one scale for both axes, so that all of the field of
-/// view is seen, and the principal point as far from the middle as it was.
+/// The same pose for a picture of another size: one scale for both axes, so that the whole field of
+/// view is visible, and the principal point at the same distance from the centre.
 fn fitted(camera: &Camera, size: PictureSize) -> Camera {
     let own = &camera.intrinsics;
     let (width, height) = size.resolve(own);
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_other_proportions_keeps_its_pixels_square_and_sees_all_of_the_view() {
+    fn a_picture_of_other_proportions_keeps_square_pixels_and_shows_the_whole_view() {
         for viewpoint in everywhere() {
             for (width, height) in [(50, 50), (400, 100), (64, 333)] {
                 let size = PictureSize::from(Some((width, height)));
@@ -180,7 +180,7 @@ mod tests {
                 let k = camera.intrinsics;
                 assert_eq!((k.width, k.height), (width, height), "{viewpoint:?}");
                 assert_eq!(k.fx, k.fy, "{viewpoint:?} at {width}x{height}");
-                // Whichever side is short keeps the photograph's field of view; the other grows.
+                // The shorter side keeps the photograph's field of view; the other grows.
                 let own = [200.0 / 150.0, 100.0 / 150.0];
                 let seen = [width as f64 / k.fx, height as f64 / k.fy];
                 let grown = [seen[0] / own[0], seen[1] / own[1]];
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_is_known_by_its_own_name_and_by_that_of_its_photograph() {
+    fn a_view_is_found_by_its_own_name_and_its_photographs() {
         let mut cameras = cameras();
         for (camera, name) in cameras.iter_mut().zip(["003", "cam0_K_che_1", "004_jpg"]) {
             camera.name = name.to_owned();
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_viewpoint_says_why() {
+    fn invalid_viewpoints_give_a_reason() {
         let cameras = cameras();
         let why = |viewpoint: Viewpoint, cameras: &[NamedCamera]| {
             viewpoint.camera(cameras, PictureSize::default()).expect_err("no camera")

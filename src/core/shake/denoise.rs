@@ -1,4 +1,4 @@
-//! Takes noise out of a shaken photograph and leaves its shake.
+//! Removes noise from a shaken photograph and keeps its shake.
 //!
 //! A deblurred image that is blurred back, by the kernel from it to its photograph, has the shake
 //! of the photograph and hardly any noise. Where the two differ by as much as noise, it is noise;
@@ -9,12 +9,14 @@ use super::reference::shaken_image;
 use super::{Response, estimate};
 use crate::image::Image;
 
-/// Levels of brightness, each with noise of its own: brightening makes dark parts the noisiest.
+/// Levels of brightness, each with its own noise: brightening makes dark parts the noisiest.
 const LEVELS: usize = 16;
-/// Fewest differences that tell the noise of a level; with fewer, that of the whole image counts.
+/// Fewest differences that determine the noise of a level; with fewer, that of the whole image is
+/// used.
 const LEAST: usize = 2_000;
-/// Standard deviation of noise that stays as it is. A scene averages it over its views, and faint
-/// detail would go with it: of more noise, the share that stays falls with the variance.
+/// Standard deviation of noise that is left unchanged. A scene averages it over its views, and
+/// removing it would remove faint detail: of more noise, the share that stays falls with the
+/// variance.
 const HARMLESS: f32 = 0.035;
 /// Least noise: images that do not differ divide by it.
 const LEAST_NOISE: f32 = 1e-4;
@@ -52,7 +54,7 @@ fn level(value: f32) -> usize {
 
 /// Standard deviation of the noise in `rest`, planar, by the level of `clean`, the image without
 /// it. A diagonal difference of neighbours has the variance of white noise and little of edges; the
-/// median ignores what it has of them.
+/// median ignores the edges.
 fn noise_by_level(rest: &[f32], clean: &Image) -> [f32; LEVELS] {
     let (width, height) = (clean.width(), clean.height());
     let mut levels: [Vec<f32>; LEVELS] = Default::default();

@@ -64,8 +64,8 @@ pub fn estimate(
     estimated([render, photograph], kept, response, &[Part::WHOLE], PIXELS)
 }
 
-/// [`estimate`], but a kernel for each cell: when the camera turns about its line of sight, every
-/// corner of the image moves in a direction of its own.
+/// [`estimate`], but with a kernel for each cell: when the camera rotates about its line of sight,
+/// every corner of the image moves in its own direction.
 pub fn estimate_by_cells(
     render: &Image,
     photograph: &Image,
@@ -119,8 +119,7 @@ fn without_faint_taps(kernel: &ShakeKernel) -> ShakeKernel {
     ShakeKernel::new(taps.copied().collect())
 }
 
-/// The kernel that turns the light of a render into that of its photograph, from about so many
-/// pixels.
+/// The kernel from the light of a render to that of its photograph, from about `pixels` pixels.
 fn solved(
     [from, to]: [&Light; 2],
     kept: Option<&Mask>,
@@ -175,8 +174,8 @@ impl Part {
     }
 }
 
-/// The facts that decide the kernel of a part: the derivatives of the render correlated with
-/// themselves, and those of the photograph correlated with them.
+/// The statistics that determine the kernel of a part: the derivatives of the render correlated
+/// with themselves, and those of the photograph correlated with them.
 struct Evidence {
     own: Correlation,
     wanted: Correlation,
@@ -255,7 +254,7 @@ impl Light {
         self.width.max(self.height)
     }
 
-    /// 0 where one of the two pixels is not `kept`: a flat place tells nothing.
+    /// 0 if one of the two pixels is not `kept`: a flat place has no information.
     fn derivatives(&self, kept: Option<&Mask>) -> Derivatives {
         let (light, pixels) = (&self.values, self.values.len());
         let difference = |step: usize| -> Vec<f32> {
@@ -347,7 +346,7 @@ fn add_products(sums: &mut [f32; 8], a: &[f32; 8], b: &[f32; 8]) {
 /// 2009).
 fn non_negative_least_squares(matrix: &[f32], right: &[f32]) -> Vec<f32> {
     let count = right.len();
-    // Most of a kernel is zero soon, and eights of zeros are passed over: they add nothing.
+    // Most of a kernel soon becomes zero; blocks of eight zeros are skipped, as they add nothing.
     let product = |x: &[f32]| -> Vec<f32> {
         let (eights, rest) = x.as_chunks::<8>();
         let places: Vec<usize> =

@@ -1,4 +1,4 @@
-//! Kernels and responses as the shake for processors takes them.
+//! Kernels and responses in the form of the shake for processors.
 
 use fled_cpu::shake::{Kernel, Response as Table, Tap as Moved};
 

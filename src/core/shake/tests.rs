@@ -21,7 +21,7 @@ fn curve() -> ShakeKernel {
     ShakeKernel::new(taps)
 }
 
-/// The shake of a camera that moves and turns about its line of sight: a line in each cell.
+/// The shake of a camera that moves and rotates about its line of sight: a line in each cell.
 fn turn() -> ShakeKernel {
     let line = |cell: usize| {
         let (x, y) = ((cell % ALONG) as f64 - 1.0, (cell / ALONG) as f64 - 0.5);
@@ -186,7 +186,7 @@ fn the_shake_is_recovered_from_a_noisy_photograph() {
 }
 
 #[test]
-fn a_turn_of_the_camera_takes_a_kernel_for_each_cell() {
+fn a_camera_rotation_needs_a_kernel_for_each_cell() {
     for (width, height) in [(280, 180), (180, 280)] {
         let (sharp, response) = (picture(width, height), Response::srgb());
         let right = shaken(&sharp, &turn(), &response);
@@ -291,7 +291,7 @@ fn struct_and_constants_match_the_shaders() {
     assert!(text.contains(&format!("const BEND: f32 = {SMOOTH_BEND:?};")));
 }
 
-/// Root mean square difference of pixels whose place meets the condition.
+/// Root mean square difference of the pixels whose position meets the condition.
 fn difference(one: &Image, other: &Image, is_meant: impl Fn(usize, usize) -> bool) -> f64 {
     let (width, pixels) = (one.width(), one.pixels());
     let is_meant = |at: usize| is_meant(at % pixels % width, at % pixels / width);
@@ -303,7 +303,7 @@ fn difference(one: &Image, other: &Image, is_meant: impl Fn(usize, usize) -> boo
 }
 
 #[test]
-fn denoising_keeps_shake_and_what_deblurring_got_wrong() {
+fn denoising_keeps_shake_and_parts_that_deblurring_got_wrong() {
     const NOISE: f64 = 0.05;
     let (sharp, response) = (picture(240, 180), Response::srgb());
     let blurred = shaken(&sharp, &curve(), &response);
@@ -326,7 +326,7 @@ fn denoising_keeps_shake_and_what_deblurring_got_wrong() {
 }
 
 #[test]
-fn masked_pixels_tell_nothing_of_the_shake() {
+fn masked_pixels_do_not_affect_the_shake() {
     let response = Response::srgb();
     let sharp = picture(160, 120);
     let taps = (-3..=3).map(|x| Tap::even([x, 0], 1.0)).collect();

@@ -1,4 +1,4 @@
-//! Cameras and Gaussians as the kernels for processors take them.
+//! Cameras and Gaussians in the form of the kernels for processors.
 
 use fled_cpu::View;
 use fled_cpu::population::{Population, column};

@@ -1,4 +1,4 @@
-//! Pictures to H.264 in MP4, by ffmpeg.
+//! Encodes pictures as H.264 in MP4 with ffmpeg.
 
 use std::fs;
 use std::io::{self, Write};
@@ -9,42 +9,42 @@ use crate::camera::Camera;
 use crate::ffmpeg::{Words, command, last_line};
 use crate::image::Image;
 
-/// x264's measure of quality: no loss that one sees.
+/// x264's quality: no visible loss.
 const QUALITY: &str = "18";
 
-/// The matrix that players assume where a video is large, said for all of them, and 4:2:0, which
-/// all of them show.
+/// The matrix that players assume for large videos, declared for all sizes, and 4:2:0, which all
+/// players support.
 const COLOURS: &str = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p";
 
-/// Why there is no video.
+/// Why a video could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
     /// There is no ffmpeg.
     #[error("videos are written by ffmpeg, which cannot be started: {program}: {reason}")]
     Missing {
-        /// What was started.
+        /// The command.
         program: String,
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
     /// ffmpeg ended before the video did.
     #[error("ffmpeg wrote no video: {reason}")]
     Refused {
-        /// The last that it said.
+        /// Its last message.
         reason: String,
     },
     /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// What it said.
+        /// The cause.
         source: io::Error,
     },
 }
 
 impl EncodeError {
-    /// What to do about it.
+    /// A remedy for the user.
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Missing { .. } => "install it (apt-get install ffmpeg)",
@@ -56,21 +56,22 @@ impl EncodeError {
     }
 }
 
-/// Where a video goes and what writes it.
+/// The output of a video and the program that writes it.
 #[derive(Clone, Copy, Debug)]
 pub struct Target<'a> {
     /// ffmpeg.
     pub program: &'a Path,
-    /// The file; it is there when it is whole.
+    /// The file; it exists only when complete.
     pub file: &'a Path,
     /// Pictures a second.
     pub fps: u32,
 }
 
-/// Writes a video of what `picture` makes of each camera's number and camera, all of one size.
+/// Writes a video of the pictures that `picture` makes from each camera and its number, all of one
+/// size.
 ///
 /// # Errors
-/// [`EncodeError`], and those of `picture`, which end it.
+/// [`EncodeError`], and errors of `picture`, which stop it.
 pub fn write<E: From<EncodeError>>(
     target: &Target<'_>,
     cameras: &[Camera],
@@ -96,7 +97,7 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> EncodeError {
     move |source| EncodeError::Io { path, source }
 }
 
-/// An ffmpeg that takes pictures; gone with what it wrote when it is dropped before its end.
+/// An ffmpeg process that receives pictures; it and its output are removed if dropped early.
 struct Encoder {
     child: Child,
     pictures: Option<ChildStdin>,
@@ -122,13 +123,13 @@ impl Encoder {
             .args(["-c:v", "libx264", "-preset", "medium", "-crf", QUALITY])
             .args(["-colorspace", "bt709", "-color_primaries", "bt709"])
             .args(["-color_trc", "bt709", "-color_range", "tv"])
-            // What a player needs first comes first, so that it begins before all is there.
+            // Put the index first, so players can start before the file is complete.
             .args(["-movflags", "+faststart", "-f", "mp4"])
             .arg(&file)
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
-        // In our own process group: whoever ends us with it ends it, too.
+        // In our own process group: a signal to the group ends ffmpeg, too.
         let mut child = command.spawn().map_err(|source| EncodeError::Missing {
             program: target.program.display().to_string(),
             reason: source.to_string(),
@@ -147,7 +148,7 @@ impl Encoder {
             Some(pictures) => pictures.write_all(&picture.to_rgb8()),
             None => Err(io::ErrorKind::BrokenPipe.into()),
         };
-        // It has ended, and says why.
+        // It has exited with an error message.
         written.map_err(|_| self.refused())
     }
 
@@ -162,7 +163,7 @@ impl Encoder {
     }
 
     fn refused(&mut self) -> EncodeError {
-        // One that takes no more has nothing more to do.
+        // A process that accepts no more input has nothing left to do.
         let _ = self.child.kill();
         let reason = last_line(&self.words.all(&self.file)).to_owned();
         EncodeError::Refused { reason }
@@ -174,7 +175,7 @@ impl Drop for Encoder {
         if self.is_whole {
             return;
         }
-        // It may have ended, and have written nothing; what counts is that nothing is left.
+        // It may have exited without writing anything; only leave nothing behind.
         let _ = self.child.kill();
         let _ = self.child.wait();
         let _ = fs::remove_file(&self.file);

@@ -1,4 +1,4 @@
-//! Ways of a camera through a scene.
+//! Camera paths through a scene.
 
 use std::f64::consts::TAU;
 
@@ -8,21 +8,21 @@ use super::spline::Spline;
 use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, Intrinsics, NamedCamera};
 
-/// Where photographers left no gap as wide as this, degrees, they went all around.
+/// Photographers who left no gap this wide, degrees, went all around.
 const WIDEST_GAP: f64 = 60.0;
 
-/// A way around is at least so far, degrees: photographers who stood in one place show one side.
+/// Shortest arc around the scene, degrees: photographers who stood in one place show one side.
 const SHORTEST_ARC: f64 = 20.0;
 
-/// Cameras nearer than this to the one before are no other place: in turns, and in distances to
-/// the scene.
+/// Cameras nearer than this to the previous one are at the same place: in radians, and in distances
+/// to the scene.
 const SAME_PLACE: f64 = 1e-4;
 
-/// Pieces of a way by which its length is measured, for each camera on it.
+/// Pieces per camera by which the length of a path is measured.
 const PIECES: usize = 50;
 
-/// How far the photographers stood around the scene, degrees in all: a whole turn where they went
-/// around it, else twice the farthest of them from their middle.
+/// The arc of the photographers around the scene, degrees in total: a full turn if they went around
+/// it, else twice the largest angle from their middle.
 pub(super) fn arc(orbit: &Orbit, cameras: &[NamedCamera]) -> f64 {
     let azimuths = cameras.iter().map(|c| orbit.azimuth_of(&c.camera()));
     let mut azimuths: Vec<f64> = azimuths.collect();
@@ -39,15 +39,15 @@ pub(super) fn arc(orbit: &Orbit, cameras: &[NamedCamera]) -> f64 {
     (2.0 * farthest).clamp(SHORTEST_ARC, 330.0)
 }
 
-/// Degrees around the scene at a share of the time: evenly all around, or in a swing to the right,
-/// to the left and back, which is slow where it turns. The end is the beginning.
+/// Degrees around the scene at a share of the time: uniform for a full turn, otherwise a swing
+/// right, left and back that slows down at the turning points. It ends where it begins.
 pub(super) fn azimuth(degrees: f64, share: f64) -> f64 {
     if degrees >= 360.0 { 360.0 * share } else { degrees / 2.0 * (TAU * share).sin() }
 }
 
-/// So many cameras on the way through those of the photographs, at a constant speed; `None` where
-/// they stand in one place. What is near moves about as fast by a step as by a turn: a distance to
-/// the scene counts as a radian.
+/// `frames` cameras on the path through those of the photographs, at constant speed; `None` if they
+/// are all in one place. A distance to the scene counts as a radian, so near objects move about as
+/// fast by a step as by a turn.
 pub(super) fn through(
     cameras: &[NamedCamera],
     distance: f64,
@@ -75,7 +75,7 @@ pub(super) fn through(
     let spline = Spline::through(knots)?;
     let (begin, end) = spline.ends();
     let time = |piece: usize| begin + (end - begin) * piece as f64 / pieces as f64;
-    // How far it is to the end of each piece.
+    // The distance to the end of each piece.
     let mut lengths = vec![0.0];
     for piece in 0..pieces {
         let step = apart(spline.at(time(piece)), spline.at(time(piece + 1)));
@@ -94,7 +94,7 @@ pub(super) fn through(
     Some((0..frames).map(frame).collect())
 }
 
-/// So many cameras on the way through poses, each at its second.
+/// `frames` cameras on the path through poses, each at its time.
 pub(super) fn along(keys: Vec<(f64, Camera)>, frames: usize) -> Option<Vec<Camera>> {
     let intrinsics = keys.first()?.1.intrinsics;
     let spline = Spline::through(keys)?;

@@ -1,4 +1,4 @@
-//! What is wanted of a video.
+//! The request for a video.
 
 use glam::DMat3;
 use serde::{Deserialize, Serialize};
@@ -8,35 +8,35 @@ use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, NamedCamera, Split};
 use crate::run_folder::{PictureSize, Viewpoint};
 
-/// Longest video, s.
+/// Maximum duration, s.
 pub const MOST_SECONDS: f64 = 60.0;
 
-/// Most pictures a second.
+/// Maximum pictures a second.
 pub const MOST_FPS: u32 = 30;
 
 /// Longest side, px.
 pub const MOST_SIDE: usize = 1920;
 
-/// Most poses of a path.
+/// Maximum number of poses of a path.
 pub const MOST_POSES: usize = 100;
 
 /// Shortest side, px.
 const LEAST_SIDE: usize = 64;
 
-/// How long a video is where nobody says.
+/// Default duration, s.
 const SECONDS: f64 = 8.0;
 
-/// Pictures a second where nobody says.
+/// Default pictures a second.
 const FPS: u32 = 24;
 
-/// Largest number of a pose: UTM in millimetres has 1e10.
+/// Largest number in a pose: UTM in millimetres has 1e10.
 const LARGEST: f64 = 1e12;
 
-/// Which way the camera goes.
+/// The kind of camera path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// Around the middle of the scene.
+    /// Around the centre of the scene.
     Orbit,
     /// Through the cameras of the photographs.
     Cameras,
@@ -50,18 +50,18 @@ pub enum Kind {
 pub struct Key {
     /// Rigid, row-major; OpenCV axes.
     pub world_to_camera: [[f64; 4]; 4],
-    /// How long the way from the pose before takes; the first has none before.
+    /// Duration of the path from the previous pose; ignored for the first.
     #[serde(default)]
     pub seconds: f64,
 }
 
-/// What is wanted of a video.
+/// The request for a video.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Plan {
-    /// Which way the camera goes.
+    /// The kind of camera path.
     pub kind: Kind,
-    /// How long it is, 1..=60; default 8. A path's poses say so themselves.
+    /// Duration, 1..=60; default 8. A path takes it from its poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seconds: Option<f64>,
     /// Pictures a second, 1..=30; default 24.
@@ -73,29 +73,29 @@ pub struct Plan {
     /// px, 64..=1920, an odd one is one less; default: the views', or in proportion to the width.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub height: Option<usize>,
-    /// Of which round; default: the delivered one.
+    /// The round; default: the delivered one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<u32>,
-    /// Of an orbit, how far around in all: 360 is once around, less a swing to both sides and back;
-    /// default: as far as the photographers stood.
+    /// For an orbit, the arc in total: 360 is once around, less a swing to both sides and back;
+    /// default: the arc of the photographers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub degrees: Option<f64>,
-    /// Of an orbit, degrees above the photographers; default 0.
+    /// For an orbit, degrees above the photographers; default 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elevation: Option<f64>,
-    /// Of an orbit, times the photographers' median distance from the middle; default 1.
+    /// For an orbit, times the photographers' median distance from the centre; default 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub distance: Option<f64>,
-    /// Of a path, the poses.
+    /// For a path, the poses.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub poses: Option<Vec<Key>>,
 }
 
-/// Why a plan is none.
+/// Why a plan is invalid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct PlanError {
-    /// Which part of the plan is at fault.
+    /// The field at fault.
     pub field: &'static str,
     /// A sentence without its full stop.
     pub message: String,
@@ -108,7 +108,7 @@ impl PlanError {
 }
 
 impl Plan {
-    /// A video of this kind, with nothing else said.
+    /// A video of this kind, with defaults.
     pub fn new(kind: Kind) -> Self {
         Self {
             kind,
@@ -129,7 +129,7 @@ impl Plan {
         self.fps.unwrap_or(FPS)
     }
 
-    /// How long it is, s.
+    /// Its duration, s.
     pub fn seconds(&self) -> f64 {
         let poses = self.poses.iter().flatten().skip(1);
         match self.kind {
@@ -138,15 +138,15 @@ impl Plan {
         }
     }
 
-    /// How many pictures it has.
+    /// Its number of pictures.
     pub fn frames(&self) -> usize {
         ((self.seconds() * f64::from(self.fps())).round() as usize).max(1)
     }
 
-    /// Whether all that is said is within its bounds and belongs to its kind.
+    /// Checks that all fields are within their bounds and belong to the kind.
     ///
     /// # Errors
-    /// [`PlanError`] for the first thing that is not.
+    /// [`PlanError`] for the first that is not.
     pub fn check(&self) -> Result<(), PlanError> {
         let of_kinds: [(&'static str, bool, &[Kind]); 5] = [
             ("seconds", self.seconds.is_some(), &[Kind::Orbit, Kind::Cameras]),
@@ -209,11 +209,12 @@ impl Plan {
         Ok(())
     }
 
-    /// The camera of every picture, in a scene whose views have these cameras; all have one size,
-    /// with even sides, as H.264 wants them.
+    /// The camera of every picture, for a scene whose views have these cameras; all have one size,
+    /// with even sides, as H.264 requires.
     ///
     /// # Errors
-    /// [`PlanError`] for a plan that is out of bounds, and cameras that do not say where to go.
+    /// [`PlanError`] for a plan that is out of bounds, and for cameras that do not determine a
+    /// path.
     pub fn cameras(&self, views: &[NamedCamera]) -> Result<Vec<Camera>, PlanError> {
         self.check()?;
         let nowhere = |why: &str| PlanError::new("kind", why.to_owned());
@@ -245,7 +246,7 @@ impl Plan {
         way.iter().map(fitted).collect()
     }
 
-    /// The poses, each at its second, with the first view's field of view.
+    /// The poses, each at its time, with the first view's field of view.
     fn keys(&self, first: &NamedCamera) -> Vec<(f64, Camera)> {
         let mut time = 0.0;
         let poses = self.poses.iter().flatten().enumerate();
@@ -270,7 +271,7 @@ impl Plan {
             (Some(width), None) => (width, width * high / wide),
             (None, Some(height)) => (height * wide / high, height),
             (None, None) => {
-                // Views of any size make a video.
+                // Views of any size give a valid video.
                 let scale = (MOST_SIDE as f64 / wide.max(high)).min(1.0);
                 let scale = scale.max(LEAST_SIDE as f64 / wide.min(high));
                 (wide * scale, high * scale)
@@ -291,7 +292,7 @@ impl Plan {
 }
 
 impl Key {
-    /// Whether it is a rotation and a translation, of numbers that one can compute with.
+    /// Whether it is a rotation and a translation with numbers in a usable range.
     fn is_rigid(&self) -> bool {
         let rows = &self.world_to_camera;
         let column = |i: usize| glam::DVec3::new(rows[0][i], rows[1][i], rows[2][i]);

@@ -7,19 +7,19 @@ use crate::camera::Camera;
 /// Numbers of a pose: centre, then the rotation as x, y, z, w.
 const NUMBERS: usize = 7;
 
-/// Catmull and Rom's cubic through poses, each at a time of its own: it goes through every pose,
-/// and neither its speed nor its turning jumps there.
+/// A Catmull-Rom cubic through poses, each at its own time: it passes through every pose, with
+/// continuous velocity and rotation.
 pub(super) struct Spline {
     knots: Vec<(f64, [f64; NUMBERS])>,
 }
 
 impl Spline {
-    /// Through cameras at times that grow; `None` of fewer than two.
+    /// Through cameras at increasing times; `None` for fewer than two.
     pub(super) fn through(cameras: impl IntoIterator<Item = (f64, Camera)>) -> Option<Self> {
         let mut knots: Vec<(f64, [f64; NUMBERS])> = Vec::new();
         for (time, camera) in cameras {
             let mut turn = DQuat::from_mat3(&camera.rotation());
-            // A rotation is that of its negative, too: the nearer one is the shorter way.
+            // A rotation equals its negative: the nearer one is the shorter way.
             if let Some((_, before)) = knots.last() {
                 let before = DQuat::from_slice(&before[3..]);
                 if before.dot(turn) < 0.0 {
@@ -58,7 +58,7 @@ impl Spline {
         (DVec3::from_slice(&pose[..3]), turn)
     }
 
-    /// How fast each number changes at a knot.
+    /// The derivative of each number at a knot.
     fn tangent(&self, index: usize) -> [f64; NUMBERS] {
         let (t0, from) = self.knots[index.saturating_sub(1)];
         let (t1, to) = self.knots[(index + 1).min(self.knots.len() - 1)];

@@ -11,7 +11,7 @@ use crate::image::{Image, Srgb};
 
 const K: Intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
 
-/// Photographs on a part of a ring around the origin, at uneven angles.
+/// Photographs on part of a ring around the origin, at uneven angles.
 fn ring(degrees: f64) -> Vec<NamedCamera> {
     let at = |i: usize| {
         let share = (i as f64 + if i % 2 == 1 { 0.4 } else { 0.0 }) / 10.0 - 0.5;
@@ -28,7 +28,7 @@ fn step(a: &Camera, b: &Camera) -> f64 {
     a.centre().distance(b.centre()) + turn(a).angle_between(turn(b))
 }
 
-/// The smallest and the largest step from picture to picture.
+/// The smallest and the largest step between consecutive pictures.
 fn steps(cameras: &[Camera]) -> (f64, f64) {
     let steps = cameras.windows(2).map(|pair| step(&pair[0], &pair[1]));
     let (mut least, mut most) = (f64::INFINITY, 0.0);
@@ -39,10 +39,10 @@ fn steps(cameras: &[Camera]) -> (f64, f64) {
 }
 
 #[test]
-fn an_orbit_is_upright_looks_at_the_middle_and_ends_where_it_begins() {
+fn an_orbit_is_upright_looks_at_the_centre_and_ends_where_it_begins() {
     let views = ring(80.0);
     let orbit = Orbit::from_cameras(&views).expect("an orbit");
-    // Upright as the photographers were in the mean: nothing else says where up is.
+    // Upright like the mean of the photographers: nothing else defines up.
     let down: DVec3 = views.iter().map(|view| view.camera().down()).sum();
     let down = down.normalize();
     for degrees in [None, Some(360.0)] {
@@ -66,7 +66,7 @@ fn an_orbit_is_upright_looks_at_the_middle_and_ends_where_it_begins() {
 }
 
 #[test]
-fn photographers_who_went_all_around_are_followed_all_around() {
+fn a_full_circle_of_photographs_gives_a_full_orbit() {
     let plan = Plan::new(Kind::Orbit);
     let cameras = plan.cameras(&ring(330.0)).expect("cameras");
     let (least, most) = steps(&cameras);
@@ -74,7 +74,7 @@ fn photographers_who_went_all_around_are_followed_all_around() {
 }
 
 #[test]
-fn the_way_through_the_photographs_passes_them_in_order_at_one_speed() {
+fn the_path_through_the_photographs_passes_them_in_order_at_constant_speed() {
     let views = ring(120.0);
     let plan = Plan { seconds: Some(20.0), ..Plan::new(Kind::Cameras) };
     let cameras = plan.cameras(&views).expect("cameras");
@@ -94,7 +94,7 @@ fn the_way_through_the_photographs_passes_them_in_order_at_one_speed() {
 }
 
 #[test]
-fn a_path_may_be_in_utm_metres_and_goes_nowhere_near_infinity() {
+fn a_path_may_be_in_utm_metres_but_not_near_infinity() {
     let far = |x: f64| Key {
         world_to_camera: [
             [1.0, 0.0, 0.0, -x],
@@ -110,7 +110,7 @@ fn a_path_may_be_in_utm_metres_and_goes_nowhere_near_infinity() {
 }
 
 #[test]
-fn a_path_is_at_its_poses_at_their_seconds() {
+fn a_path_reaches_its_poses_at_their_times() {
     let views = ring(90.0);
     let key = |view: &NamedCamera, seconds| Key { world_to_camera: view.world_to_camera, seconds };
     let poses = vec![key(&views[0], 0.0), key(&views[5], 1.0), key(&views[10], 3.0)];
@@ -142,7 +142,7 @@ fn sides_are_even_and_follow_the_views() {
 }
 
 #[test]
-fn what_is_out_of_bounds_or_of_another_kind_is_named() {
+fn fields_out_of_bounds_or_of_another_kind_are_named() {
     let of = |kind: Kind, change: fn(&mut Plan)| {
         let mut plan = Plan::new(kind);
         change(&mut plan);
@@ -192,7 +192,7 @@ fn made(file: &Path, program: &str) -> Result<(), EncodeError> {
     write(&target, &cameras, |number, camera| Ok(picture(number, camera)))
 }
 
-fn said(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
+fn output_of(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
     let output = Command::new(program)
         .args(arguments)
         .arg(file)
@@ -203,18 +203,18 @@ fn said(program: &str, arguments: &[&str], file: &Path) -> Vec<u8> {
 }
 
 #[test]
-fn a_video_is_h264_that_every_player_shows_and_begins_at_once() {
+fn a_video_is_widely_supported_h264_that_starts_at_once() {
     let folder = TempDir::new().expect("folder");
     let file = folder.path().join("-a b.mp4");
     made(&file, "ffmpeg").expect("a video");
     let entries = "stream=codec_name,pix_fmt,width,height,nb_read_frames,r_frame_rate";
-    let told = said(
+    let probed = output_of(
         "ffprobe",
         &["-v", "error", "-count_frames", "-show_entries", entries, "-of", "csv=p=0"],
         &file,
     );
-    let told = String::from_utf8(told).expect("text");
-    assert_eq!(told.trim(), "h264,96,64,yuv420p,24/1,24");
+    let probed = String::from_utf8(probed).expect("text");
+    assert_eq!(probed.trim(), "h264,96,64,yuv420p,24/1,24");
     let bytes = std::fs::read(&file).expect("read");
     let at = |name: &[u8]| bytes.windows(4).position(|w| w == name).expect("a box");
     assert!(at(b"moov") < at(b"mdat"), "what players need first comes first");
@@ -223,7 +223,7 @@ fn a_video_is_h264_that_every_player_shows_and_begins_at_once() {
 }
 
 #[test]
-fn the_colours_of_a_video_are_those_of_its_pictures() {
+fn a_video_has_the_colours_of_its_pictures() {
     let folder = TempDir::new().expect("folder");
     let file = folder.path().join("a.mp4");
     made(&file, "ffmpeg").expect("a video");
@@ -247,7 +247,7 @@ fn the_colours_of_a_video_are_those_of_its_pictures() {
 }
 
 #[test]
-fn what_fails_says_why_and_leaves_nothing() {
+fn a_failure_gives_its_reason_and_leaves_no_file() {
     let folder = TempDir::new().expect("folder");
     let file = folder.path().join("a.mp4");
     let missing = made(&file, "no-such-ffmpeg").expect_err("no program");

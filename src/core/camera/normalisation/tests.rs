@@ -17,7 +17,7 @@ fn room() -> Vec<Camera> {
     (0..12).map(camera).collect()
 }
 
-/// The same in a world that is `scale` times as large, turned, and moved by `offset`.
+/// The same in a world that is scaled by `scale`, rotated, and moved by `offset`.
 fn elsewhere(cameras: &[Camera], scale: f64, turn: DQuat, offset: DVec3) -> Vec<Camera> {
     let moved = |camera: &Camera| {
         let rotation = DQuat::from_mat3(&camera.rotation()) * turn.inverse();
@@ -29,7 +29,7 @@ fn elsewhere(cameras: &[Camera], scale: f64, turn: DQuat, offset: DVec3) -> Vec<
 
 proptest! {
     #[test]
-    fn every_world_becomes_one_of_ordinary_size_about_the_origin_and_comes_back(
+    fn every_world_normalises_to_ordinary_size_at_the_origin_and_back(
         exponent in -4.0..5.0_f64,
         offset in prop::array::uniform3(-5e6..5e6_f64),
         angles in prop::array::uniform3(-3.0..3.0_f64),
@@ -51,7 +51,7 @@ proptest! {
             let largest = given.translation().abs().max_element().max(scale);
             prop_assert!(back.world_to_camera.abs_diff_eq(given.world_to_camera, 1e-12 * largest));
         }
-        // Each camera sees a point at the same place in both.
+        // Each camera sees a point at the same pixel in both.
         let point = DVec3::new(0.3, -0.2, 0.1);
         let there = scale * (turn * point) + DVec3::from(offset);
         for ((camera, trained), given) in room().iter().zip(&trained).zip(&world) {
@@ -65,7 +65,7 @@ proptest! {
 }
 
 #[test]
-fn a_world_of_ordinary_size_about_the_origin_stays_as_it_is_to_the_bit() {
+fn a_world_of_ordinary_size_at_the_origin_is_unchanged_to_the_bit() {
     for scale in [1.0, 3.0, 10.0] {
         let world = elsewhere(&room(), scale, DQuat::IDENTITY, DVec3::ZERO);
         let by = Normalisation::of(&world);
@@ -76,12 +76,12 @@ fn a_world_of_ordinary_size_about_the_origin_stays_as_it_is_to_the_bit() {
 }
 
 #[test]
-fn offsets_that_f32_holds_stay_in_files_and_others_are_left_out() {
+fn offsets_within_f32_precision_stay_in_files_and_others_are_left_out() {
     let of = |scale: f64, x: f64| {
         let world = elsewhere(&room(), scale, DQuat::IDENTITY, DVec3::new(x, 0.0, 0.0));
         Normalisation::of(&world)
     };
-    // At 1000 steps of f32 are 6e-5: a 50,000th of 3.
+    // At 1000, steps of f32 are 6e-5: a 50,000th of 3.
     let (near, utm) = (of(1.0, 1000.0), of(1.0, 512_345.0));
     assert!(!near.is_identity() && !near.left_out, "{near:?}");
     assert_eq!(near.missing_in_files(), DVec3::ZERO);
@@ -91,7 +91,7 @@ fn offsets_that_f32_holds_stay_in_files_and_others_are_left_out() {
 }
 
 #[test]
-fn a_camera_in_the_wrong_place_decides_nothing() {
+fn a_misplaced_camera_has_no_effect() {
     let mut world = room();
     let by = Normalisation::of(&elsewhere(&world, 100.0, DQuat::IDENTITY, DVec3::ZERO));
     let eye = DVec3::new(1e6, 2e6, 0.0);
@@ -101,7 +101,7 @@ fn a_camera_in_the_wrong_place_decides_nothing() {
 }
 
 #[test]
-fn a_rotation_of_six_digits_far_from_the_origin_leaves_cameras_where_they_are() {
+fn a_rotation_of_six_digits_far_from_the_origin_does_not_move_cameras() {
     let offset = DVec3::new(512_345.6, 5_412_345.9, 310.2);
     let [exact, ..] = elsewhere(&room(), 1.0, DQuat::from_rotation_y(0.7), offset)[..] else {
         unreachable!("twelve");
@@ -121,7 +121,7 @@ fn a_rotation_of_six_digits_far_from_the_origin_leaves_cameras_where_they_are() 
 }
 
 #[test]
-fn cameras_that_do_not_tell_a_size_change_nothing() {
+fn cameras_that_do_not_determine_a_size_change_nothing() {
     assert!(Normalisation::of(&[]).is_identity());
     let camera = |angle: f64| {
         let ahead = DVec3::new(angle.sin(), 0.0, angle.cos());

@@ -5,8 +5,8 @@ fn entries(paths: &[&str]) -> Vec<Entry> {
     paths.iter().map(entry).collect()
 }
 
-/// The mask files of each photograph, those that hide white with `!`; the pictures left; and what
-/// is warned of.
+/// The mask files of each photograph, with `!` for those that hide white; the remaining pictures;
+/// and the warnings.
 fn read(
     folder: &str,
     photographs: &[&str],
@@ -21,7 +21,7 @@ fn read(
     let mut warnings = Vec::new();
     let photographs = entries(photographs);
     let masks = found.of(&photographs, folder, &mut warnings);
-    let told = |entry: &Entry| {
+    let describe = |entry: &Entry| {
         let own = masks.of(&entry.path).into_iter();
         let own: Vec<String> = own
             .map(|(mask, picture)| {
@@ -31,14 +31,14 @@ fn read(
         own.join(" ")
     };
     (
-        photographs.iter().map(told).collect(),
+        photographs.iter().map(describe).collect(),
         pictures.iter().map(|entry| entry.path.to_string()).collect(),
         warnings.into_iter().map(|warning| warning.message).collect(),
     )
 }
 
 #[test]
-fn masks_are_found_under_every_name_that_programs_give_them() {
+fn masks_are_found_under_the_names_of_all_programs() {
     let photographs = ["a.jpg", "b.jpg"];
     for masks in [
         ["masks/a.png", "masks/b.png"],
@@ -66,7 +66,7 @@ fn white_hides_in_the_masks_of_instant_ngp() {
 }
 
 #[test]
-fn masks_have_the_folders_of_their_photographs() {
+fn masks_are_matched_by_the_folders_of_their_photographs() {
     let photographs = ["cam0/1.jpg", "cam1/1.jpg"];
     let (found, _, _) = read("images", &photographs, &["masks/cam0/1.png", "masks/cam1/1.png"]);
     assert_eq!(found, ["masks/cam0/1.png", "masks/cam1/1.png"]);
@@ -75,7 +75,7 @@ fn masks_have_the_folders_of_their_photographs() {
 }
 
 #[test]
-fn a_mask_without_a_photograph_is_told_of() {
+fn a_mask_without_a_photograph_is_reported() {
     let (found, _, warnings) = read("images", &["a.jpg"], &["masks/a.png", "masks/other.png"]);
     assert_eq!(found, ["masks/a.png"]);
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Masks that come with a capture.
+//! Masks included in a capture.
 
 use super::*;
 use crate::mask::Mask;
@@ -15,7 +15,7 @@ fn left_hidden() -> Vec<u8> {
     mask_of(96, 64, |x, _| x >= 48)
 }
 
-/// A capture of three photographs and these files, and what it says of masks.
+/// A capture of three photographs and these files, and its warnings about masks.
 fn with(files: &[(&str, Vec<u8>)]) -> (tempfile::TempDir, Capture, Vec<String>) {
     let names = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
     let mut all: Vec<_> = names.iter().enumerate().map(|(i, name)| (*name, jpeg(i))).collect();
@@ -38,7 +38,7 @@ fn load(capture: &Capture, view: usize) -> Option<Mask> {
 }
 
 #[test]
-fn masks_hide_what_they_show_black_and_are_no_photographs() {
+fn masks_hide_black_areas_and_are_not_photographs() {
     let half = mask_of(48, 32, |x, _| x >= 24);
     let white = mask_of(96, 64, |x, _| x < 48);
     let files = [
@@ -95,7 +95,7 @@ fn transparent_pixels_are_masked() {
     assert!(messages[0].starts_with("2 of 5 photographs have masks"), "{messages:?}");
 }
 
-/// The cut-out with other colours, as WebP.
+/// The cut-out with different colours, as WebP.
 fn picture_of(cut: &::image::RgbaImage, seed: u8) -> Vec<u8> {
     let mut other = cut.clone();
     other.pixels_mut().for_each(|pixel| pixel.0[2] = pixel.0[0].wrapping_mul(seed + 2));
@@ -105,7 +105,7 @@ fn picture_of(cut: &::image::RgbaImage, seed: u8) -> Vec<u8> {
 }
 
 #[test]
-fn a_mask_that_cannot_be_used_is_told_of_with_its_reason() {
+fn an_unusable_mask_is_reported_with_the_reason() {
     let files = [
         ("masks/a.png", mask_of(64, 64, |_, _| true)),
         ("masks/b.png", b"no picture".to_vec()),
@@ -127,7 +127,7 @@ fn a_mask_that_cannot_be_used_is_told_of_with_its_reason() {
 }
 
 #[test]
-fn a_photograph_of_which_nothing_is_left_is_not_used() {
+fn a_fully_masked_photograph_is_not_used() {
     let files = [("images/d.jpg", jpeg(7)), ("masks/d.png", mask_of(96, 64, |_, _| false))];
     let (_home, capture, messages) = with(&files);
     assert_eq!(capture.views.len(), 3);
@@ -137,7 +137,7 @@ fn a_photograph_of_which_nothing_is_left_is_not_used() {
 }
 
 #[test]
-fn a_mask_is_turned_as_the_stored_pixels_of_its_photograph_are() {
+fn a_mask_is_rotated_like_the_stored_pixels_of_its_photograph() {
     let exif = crate::image::exif_block(&[(exif::Tag::Orientation, exif::Value::Short(vec![6]))]);
     let mut turned = jpeg(9);
     let mut segment = vec![0xff, 0xe1];

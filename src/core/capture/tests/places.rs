@@ -1,4 +1,4 @@
-//! Where photographs lie, and that each keeps its own path and pose.
+//! Where photographs are found, and that each keeps its own path and pose.
 
 use glam::DVec3;
 use proptest::prelude::*;
@@ -14,14 +14,14 @@ use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::SparseModel;
 use crate::poses::{PoseRequest, PoseView, Poses, PosesError, Sfm};
 
-/// The camera of the photograph of this number.
+/// The camera of the photograph with this number.
 fn camera(number: usize) -> Camera {
     let k = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
     let eye = DVec3::new(number as f64, 0.25, -4.0);
     Camera::look_at(k, eye, DVec3::new(0.5, 0.0, 0.0), DVec3::Y)
 }
 
-/// The text files of a model of these names, each with the camera of its number.
+/// The text files of a model with these names, each with the camera of its number.
 fn model(names: impl IntoIterator<Item = (usize, String)>) -> Vec<(String, Vec<u8>)> {
     let views = names.into_iter().map(|(number, name)| (name, camera(number)));
     let model = SparseModel::of_views(views, [([0.0, 0.0, 1.0], [9, 9, 9])]);
@@ -40,7 +40,7 @@ fn given(capture: &Capture) -> Result<Poses, PosesError> {
     )
 }
 
-/// Opens these files as a folder and as a zip; looks at each.
+/// Opens these files as a folder and as a zip, and passes each result to `look`.
 fn both(files: &[(String, Vec<u8>)], look: impl Fn(Result<Capture, CaptureError>)) {
     let files: Vec<(&str, Vec<u8>)> =
         files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
@@ -54,12 +54,12 @@ fn both(files: &[(String, Vec<u8>)], look: impl Fn(Result<Capture, CaptureError>
     look(Capture::open(&zip, &home.path().join("scratch")));
 }
 
-/// Photographs of these paths, numbered.
+/// Photographs with these paths, numbered.
 fn photographs(paths: &[&str]) -> Vec<(String, Vec<u8>)> {
     paths.iter().enumerate().map(|(i, path)| ((*path).to_owned(), jpeg(i))).collect()
 }
 
-/// The paths below their folder, and what is warned of but that they are few or poses not read.
+/// The paths below their folder, and the warnings other than few photographs or unread poses.
 fn read(files: &[(String, Vec<u8>)]) -> (Vec<String>, Vec<String>) {
     let files: Vec<(&str, Vec<u8>)> =
         files.iter().map(|(name, bytes)| (name.as_str(), bytes.clone())).collect();
@@ -105,54 +105,54 @@ fn photographs_are_found_where_programs_and_cameras_put_them() {
 }
 
 #[test]
-fn pictures_that_are_not_read_are_told() {
+fn unread_pictures_are_reported() {
     let inside = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg", "cover.jpg"]);
-    let (paths, told) = read(&inside);
+    let (paths, warnings) = read(&inside);
     assert_eq!(paths, ["0.jpg", "1.jpg", "2.jpg"]);
-    assert!(told[0].contains("images/") && told[0].contains("(1 picture)"), "{told:?}");
+    assert!(warnings[0].contains("images/") && warnings[0].contains("(1 picture)"), "{warnings:?}");
     let beside = photographs(&["0.jpg", "1.jpg", "2.jpg", "edited/a.jpg", "edited/b.jpg"]);
-    let (paths, told) = read(&beside);
+    let (paths, warnings) = read(&beside);
     assert_eq!(paths.len(), 3);
-    assert!(told[0].contains("edited/ (2 pictures)"), "{told:?}");
+    assert!(warnings[0].contains("edited/ (2 pictures)"), "{warnings:?}");
     let cover = photographs(&["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg", "cover.jpg"]);
-    let (paths, told) = read(&cover);
+    let (paths, warnings) = read(&cover);
     assert_eq!(paths, ["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg"]);
     assert_eq!(
-        told[0],
+        warnings[0],
         "photographs are read from a walk/ (3 pictures); not from the capture's own folder (1 \
          picture): move them there if they belong to it"
     );
 }
 
 #[test]
-fn what_may_be_several_scenes_or_none_is_refused_with_its_folders() {
+fn captures_with_several_scenes_or_none_are_refused_with_their_folders() {
     let refused = |files: &[(String, Vec<u8>)]| {
-        let told = std::cell::RefCell::new(Vec::new());
+        let errors = std::cell::RefCell::new(Vec::new());
         both(files, |opened| {
             let error = opened.expect_err("no capture");
-            told.borrow_mut().push(format!("{error}; {}", error.hint()));
+            errors.borrow_mut().push(format!("{error}; {}", error.hint()));
         });
-        let told = told.into_inner();
-        assert_eq!(told[0], told[1]);
-        assert!(!told[0].contains("0 of 0"), "{}", told[0]);
-        told[0].clone()
+        let errors = errors.into_inner();
+        assert_eq!(errors[0], errors[1]);
+        assert!(!errors[0].contains("0 of 0"), "{}", errors[0]);
+        errors[0].clone()
     };
     let albums = photographs(&["garden/0.jpg", "garden/1.jpg", "kitchen/0.jpg"]);
-    let told = refused(&albums);
-    assert!(told.contains("garden/ (2 pictures) and kitchen/ (1 picture)"), "{told}");
-    assert!(told.contains("into a folder images/"), "{told}");
+    let error = refused(&albums);
+    assert!(error.contains("garden/ (2 pictures) and kitchen/ (1 picture)"), "{error}");
+    assert!(error.contains("into a folder images/"), "{error}");
     let scenes = photographs(&["a/images/0.jpg", "a/images/1.jpg", "b/images/0.jpg"]);
     assert!(refused(&scenes).contains("a/images/ (2"));
     let made = photographs(&["scan/depth/0.png", "scan/depth/1.png", "scan/notes.txt"]);
     assert!(refused(&made).contains("depth/ (2 pictures)"), "{}", refused(&made));
     assert!(refused(&photographs(&["notes.txt"])).contains("no photograph"));
-    // Poses tell that they are one.
+    // Poses show that they are one scene.
     let mut posed = albums;
     posed.push(("transforms.json".to_owned(), b"{}".to_vec()));
     assert_eq!(read(&posed).0.len(), 3);
 }
 
-/// Whether an image is that of a file with these bytes, to the precision of half floats.
+/// Whether an image matches a file with these bytes, to the precision of half floats.
 fn is_prepared(image: &Image<Linear>, bytes: &[u8]) -> bool {
     let folder = tempfile::tempdir().expect("temporary folder");
     let file = folder.path().join("a");
@@ -163,7 +163,7 @@ fn is_prepared(image: &Image<Linear>, bytes: &[u8]) -> bool {
 }
 
 #[test]
-fn ground_truth_lies_in_the_same_folders_as_its_photographs() {
+fn ground_truth_has_the_same_folders_as_its_photographs() {
     let mut files = photographs(&["images/cam0/0.jpg", "images/cam1/0.jpg", "images/cam1/1.jpg"]);
     files.extend(photographs(&["gt/cam0/0.png", "gt/cam1/0.png", "gt/cam1/1.png"]));
     both(&files, |opened| {
@@ -178,8 +178,8 @@ fn ground_truth_lies_in_the_same_folders_as_its_photographs() {
 }
 
 #[test]
-fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
-    // In the order of bytes, with the number of each row's camera.
+fn rows_of_poses_bounds_belong_to_all_photographs_in_byte_order() {
+    // In byte order, with the number of each row's camera.
     let names = ["B.jpg", "a_1.jpg", "a_10.jpg", "a_2.jpg", "broken_3.jpg", "c_é.jpg"];
     let mut files: Vec<(String, Vec<u8>)> = photographs(&names);
     files[4].1.truncate(300);
@@ -201,7 +201,7 @@ fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
 }
 
 #[test]
-fn scenes_with_poses_of_their_own_are_not_one() {
+fn scenes_with_separate_poses_are_not_one_scene() {
     for (scenes, poses) in [
         (["a/images", "b/images"], "transforms.json"),
         (["tandt/train/images", "tandt/truck/images"], "../sparse/0/images.bin"),
@@ -222,7 +222,7 @@ fn scenes_with_poses_of_their_own_are_not_one() {
 
 #[test]
 fn a_few_pictures_in_images_give_way_to_photographs_elsewhere() {
-    for (others, told) in [("photos/", "photos/ (3"), ("", "own folder (3"), ("a/", "a/ (3")] {
+    for (others, expected) in [("photos/", "photos/ (3"), ("", "own folder (3"), ("a/", "a/ (3")] {
         let paths = ["0.jpg", "1.jpg", "2.jpg"].map(|name| format!("{others}{name}"));
         let mut files = photographs(&paths.each_ref().map(String::as_str));
         files.push(("images/logo.jpg".to_owned(), jpeg(9)));
@@ -236,14 +236,14 @@ fn a_few_pictures_in_images_give_way_to_photographs_elsewhere() {
         let (found, warnings) = read(&files);
         assert_eq!(found, ["0.jpg", "1.jpg", "2.jpg"]);
         assert!(
-            warnings[0].contains(told) && warnings[0].contains("not from images/ (1 picture)"),
+            warnings[0].contains(expected) && warnings[0].contains("not from images/ (1 picture)"),
             "{warnings:?}"
         );
     }
 }
 
 #[test]
-fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
+fn system_files_are_ignored_also_under_stored_names() {
     let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     let traces = [
         "images/@eaDir/0.jpg/SYNOPHOTO_THUMB_XL.jpg",
@@ -258,7 +258,7 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
         assert_eq!(capture.assessments.len(), 3);
         assert!(capture.warnings.iter().all(|w| w.code == "few"), "{:?}", capture.warnings);
     });
-    // As the service stores them: what they are called lies beside.
+    // As the service stores them: the original names are in a file beside them.
     let names: serde_json::Map<_, _> = { files.iter().enumerate() }
         .map(|(i, (name, _))| (format!("images/{i}.jpg"), name.as_str().into()))
         .collect();
@@ -270,8 +270,8 @@ fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
 }
 
 #[test]
-fn photographs_of_one_name_have_names_of_their_own() {
-    // As the service stores them where a phone calls all `image.jpg`.
+fn photographs_with_the_same_name_get_distinct_names() {
+    // As the service stores them when a phone names every file `image.jpg`.
     let sent = ["image.jpg", "image.jpg", "image-2.jpg", "image.jpg"];
     let stored = ["image.jpg", "image-2.jpg", "image-2-2.jpg", "image-3.jpg"];
     let names: serde_json::Map<_, _> = { stored.iter().zip(sent) }
@@ -327,7 +327,7 @@ fn result(folder: &str) -> Vec<(String, Vec<u8>)> {
 }
 
 #[test]
-fn results_of_fled_are_no_part_of_a_capture() {
+fn results_of_fled_are_not_part_of_a_capture() {
     let evaluation = br#"{"training_views": 9, "tied_views": 9, "camera_error": 0.1}"#.to_vec();
     let report = br#"{"rounds": [{"gaussians": 9}], "registered": 9, "best_round": 1}"#.to_vec();
     for around in ["", "images/", "walk/"] {
@@ -351,7 +351,7 @@ fn results_of_fled_are_no_part_of_a_capture() {
             [("demo/metrics.json", report.clone()), ("demo/capture/images/0.jpg", jpeg(71))];
         let others = judged.into_iter().chain(shown).map(|(name, bytes)| (name.to_owned(), bytes));
         let others: Vec<_> = others.collect();
-        // The last two lie where the photographs do.
+        // The last two are in the folder of the photographs.
         for more in [result("result"), result("a/b"), others, result(""), result(around)] {
             assert_eq!(alone(&[own.clone(), more].concat()), before, "{around}");
         }
@@ -360,13 +360,13 @@ fn results_of_fled_are_no_part_of_a_capture() {
         open_folder(&result("").iter().map(|(n, b)| (n.as_str(), b.clone())).collect::<Vec<_>>());
     let error = error.expect_err("no photographs").to_string();
     assert!(error.contains("this folder holds a result of fled"), "{error}");
-    // Files of the user that merely share these names.
+    // Files of the user that only share these names.
     let mut own = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     own.push(("images/config.json".to_owned(), br#"{"rounds": 3}"#.to_vec()));
     assert_eq!(read(&own).0.len(), 3);
 }
 
-/// A `transforms.json` of photographs of these names, for pictures of 96 px and this height.
+/// A `transforms.json` for photographs with these names, for pictures of 96 px and this height.
 fn transforms(names: &[&str], height: usize) -> Vec<u8> {
     let one = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
     let frame = |name| serde_json::json!({ "file_path": name, "transform_matrix": one });
@@ -376,7 +376,7 @@ fn transforms(names: &[&str], height: usize) -> Vec<u8> {
 }
 
 #[test]
-fn of_two_versions_of_one_set_that_of_the_poses_is_read_and_the_other_named() {
+fn of_two_versions_the_one_with_poses_is_read_and_the_other_named() {
     let names = ["0.jpg", "1.jpg", "2.jpg"];
     let set = |folder: &str, seed: usize, height: usize| -> Vec<(String, Vec<u8>)> {
         let picture = |at| picture(seed + at, 96, height).encode(EncodeFormat::Jpeg(90));
@@ -394,17 +394,17 @@ fn of_two_versions_of_one_set_that_of_the_poses_is_read_and_the_other_named() {
     let both_poses =
         || vec![json("nerf/transforms.json", 64), json("nerf/transforms_undistorted.json", 64)];
     let cases = [
-        // As ScanNet++ has them; the folder of the whole scene around it changes nothing.
+        // As in ScanNet++; a folder around the whole scene changes nothing.
         (plain, undistorted, 64, [colmap(), both_poses()].concat(), plain, "colmap"),
         (plain, undistorted, 64, both_poses(), plain, "nerf/transforms.json"),
         (plain, undistorted, 64, both_poses().split_off(1), undistorted, "undistorted.json"),
-        // The sizes tell.
+        // The sizes decide.
         ("before", "after", 80, vec![json("poses/a.json", 64)], "before", "poses/a.json"),
         ("before", "after", 80, vec![json("poses/a.json", 80)], "after", "poses/a.json"),
-        // The names tell.
+        // The names decide.
         ("", "edited", 64, colmap(), "", "colmap"),
     ];
-    for (first, second, height, poses, taken, told) in cases {
+    for (first, second, height, poses, taken, model) in cases {
         for around in ["", "scene/", "data/scene/"] {
             let mut files = [set(first, 0, 64), set(second, 20, height), poses.clone()].concat();
             files.iter_mut().for_each(|file| file.0.insert_str(0, around));
@@ -414,7 +414,7 @@ fn of_two_versions_of_one_set_that_of_the_poses_is_read_and_the_other_named() {
             }
             both(&files, |opened| {
                 let capture = opened.expect("a capture");
-                assert_eq!(capture.views.len(), 3, "{first} {second} {told} in {around}");
+                assert_eq!(capture.views.len(), 3, "{first} {second} {model} in {around}");
                 let expected = if taken == first { 0 } else { 20 };
                 for (at, view) in capture.views.iter().enumerate() {
                     let height = if expected == 0 { 64 } else { height };
@@ -428,14 +428,14 @@ fn of_two_versions_of_one_set_that_of_the_poses_is_read_and_the_other_named() {
                 };
                 let other = if taken == first { second } else { first };
                 assert!(has("elsewhere", other), "{other}: {:?}", capture.warnings);
-                assert!(has("models", told), "{told}: {:?}", capture.warnings);
+                assert!(has("models", model), "{model}: {:?}", capture.warnings);
             });
         }
     }
 }
 
 #[test]
-fn folders_of_the_same_names_that_poses_name_are_parts_and_others_are_refused() {
+fn folders_with_the_same_names_are_parts_only_if_poses_name_them() {
     let names = ["a/0.jpg", "a/1.jpg", "a/2.jpg", "b/0.jpg", "b/1.jpg", "b/2.jpg"];
     let mut files = photographs(&names);
     files.push(("transforms.json".to_owned(), transforms(&names, 64)));
@@ -458,34 +458,34 @@ fn of_two_files_of_one_exposure_one_is_used() {
         let used: Vec<&str> = capture.views.iter().map(|view| view.path.as_str()).collect();
         (used.join(" "), capture, home)
     };
-    // The file that keeps more, or the one that the poses name.
+    // Use the file that preserves more, or the one that the poses name.
     let (used, capture, _) = open(&[("0.PNG", png(0)), ("1.png", png(1))]);
     assert_eq!(used, "0.PNG 1.png 2.jpg 3.jpg");
-    let told = capture.assessments.iter().find(|one| one.name == "0.jpg").expect("listed");
-    assert_eq!(told.reason.as_deref(), Some("the same exposure as 0.PNG"));
+    let listed = capture.assessments.iter().find(|one| one.name == "0.jpg").expect("listed");
+    assert_eq!(listed.reason.as_deref(), Some("the same exposure as 0.PNG"));
     let poses = ("transforms.json", transforms(&["0.jpg", "1.png", "2.jpg", "3.jpg"], 64));
     let (used, ..) = open(&[("0.png", png(0)), ("1.png", png(1)), poses]);
     assert_eq!(used, "0.jpg 1.png 2.jpg 3.jpg");
-    // Names without extensions mean the exposure.
+    // Names without extensions refer to the exposure.
     let poses = ("transforms.json", transforms(&["0", "1", "2", "3"], 64));
     let (used, capture, _home) = open(&[("0.png", png(0)), ("1.png", png(1)), poses]);
     assert_eq!(used, "0.png 1.png 2.jpg 3.jpg");
     assert_eq!(given(&capture).expect("poses").views.len(), 4);
-    // Under another name or in another folder it is the same picture.
+    // Under another name or in another folder it is still the same picture.
     let smooth = patches(1, 160, 0.6).resize_area(12, 12).resize_bilinear(160, 160);
     let saved = |format| smooth.encode(format).expect("encoded");
     let twins = [("4.jpg", saved(EncodeFormat::Jpeg(90))), ("a.png", saved(EncodeFormat::Png))];
     assert_eq!(open(&twins).0, "0.jpg 1.jpg 2.jpg 3.jpg a.png");
-    // Photographs that share a name only.
+    // Photographs that share only a name.
     let (used, ..) = open(&[("0.png", png(10)), ("1.png", png(11))]);
     assert_eq!(used, "0.jpg 0.png 1.jpg 1.png 2.jpg 3.jpg");
 }
 
 #[test]
-fn files_like_photographs_are_listed_with_what_to_do() {
+fn files_like_photographs_are_listed_with_advice() {
     let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);
     let capture = home.path().join("capture");
-    for (name, told) in [
+    for (name, words) in [
         ("a.insp", "INSP photographs are not read"),
         ("b.gpr", "camera raw files are not read"),
         ("more.zip", "inner ZIP archives are not read: unpack it"),
@@ -493,23 +493,23 @@ fn files_like_photographs_are_listed_with_what_to_do() {
     ] {
         fs::write(capture.join(name), b"II*\0").expect("written");
         let opened = Capture::open(&capture, home.path()).expect("a capture");
-        let is_told = |a: &Assessment| {
-            a.name == name && a.reason.as_ref().is_some_and(|reason| reason.contains(told))
+        let is_reported = |a: &Assessment| {
+            a.name == name && a.reason.as_ref().is_some_and(|reason| reason.contains(words))
         };
-        assert!(opened.assessments.iter().any(is_told), "{:?}", opened.assessments);
+        assert!(opened.assessments.iter().any(is_reported), "{:?}", opened.assessments);
         assert_eq!(opened.views.len(), 3, "{name}");
     }
     #[cfg(unix)]
     {
         std::os::unix::fs::symlink("/nowhere/3.jpg", capture.join("3.jpg")).expect("linked");
         let opened = Capture::open(&capture, home.path()).expect("a capture");
-        let is_told = |a: &Assessment| a.reason.as_deref() == Some("a link that leads nowhere");
-        assert!(opened.assessments.iter().any(is_told), "{:?}", opened.assessments);
+        let is_reported = |a: &Assessment| a.reason.as_deref() == Some("a link that leads nowhere");
+        assert!(opened.assessments.iter().any(is_reported), "{:?}", opened.assessments);
     }
 }
 
 #[test]
-fn of_equal_pictures_the_original_is_kept_and_not_its_copy() {
+fn of_equal_pictures_the_original_is_kept() {
     let files = photographs(&["0.jpg", "1.jpg", "2.jpg"]);
     let copies = [("0 (1).jpg", 0), ("1 copy.jpg", 1), ("2 - Copy.jpg", 2)];
     let copies = copies.map(|(name, seed)| (name.to_owned(), jpeg(seed)));
@@ -523,7 +523,7 @@ fn of_equal_pictures_the_original_is_kept_and_not_its_copy() {
 }
 
 #[test]
-fn what_trainers_write_is_no_ground_truth() {
+fn trainer_output_is_not_ground_truth() {
     let bright = |seed| picture(seed, 96, 64).encode(EncodeFormat::Png).expect("encoded");
     let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
     files.push(("output/test/ours_30000/gt/0.png".to_owned(), bright(9)));
@@ -541,9 +541,9 @@ fn what_trainers_write_is_no_ground_truth() {
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
-    /// Whatever photographs are called and wherever they lie, each has its own pose.
+    /// Whatever the names and folders of photographs, each has its own pose.
     #[test]
-    fn every_photograph_has_its_own_pose(
+    fn every_photograph_keeps_its_own_pose(
         paths in prop::collection::hash_set(
             "((cam[01]|A|a|e\u{301}|b c)/){0,2}(DSC[ _])?[0-3aA]{1,2}\\.(jpg|JPG|jpeg)", 4..8),
         around in prop::sample::select(

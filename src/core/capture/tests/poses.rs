@@ -1,10 +1,10 @@
-//! Which of a capture's files give its poses.
+//! Which files of a capture supply its poses.
 
 use super::*;
 
 const CAMERAS: &[u8] = b"1 PINHOLE 96 64 80 80 48 32\n";
 
-/// A text model of photographs of these names.
+/// A text model of photographs with these names.
 fn model(names: &[&str]) -> Vec<u8> {
     let lines = names.iter().zip(1..);
     let lines = lines.map(|(name, id)| format!("{id} 1 0 0 0 0 0 {id} 1 {name}\n\n"));
@@ -28,7 +28,7 @@ fn model_of(capture: &Capture) -> &Path {
 }
 
 #[test]
-fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
+fn the_model_with_most_photographs_is_used_and_named() {
     let (all, two) = (["a.jpg", "b.jpg", "c.jpg"], ["a.jpg", "b.jpg"]);
     // More images, but not of these photographs.
     let strangers = ["u.jpg", "v.jpg", "w.jpg", "x.jpg", "y.jpg"];
@@ -48,15 +48,15 @@ fn of_several_models_the_one_of_most_photographs_is_taken_and_named() {
             { files.iter() }.map(|(name, bytes)| (&**name, bytes.clone())).collect();
         let capture = with(&files);
         assert!(model_of(&capture).ends_with(taken), "{taken}: {:?}", capture.poses);
-        let said = |warning: &CaptureWarning| {
+        let mentions = |warning: &CaptureWarning| {
             warning.code == "models" && warning.message.contains(&format!("of {taken} are taken"))
         };
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
 }
 
 #[test]
-fn a_model_that_cannot_be_read_is_not_taken_in_place_of_one_that_can() {
+fn an_unreadable_model_does_not_replace_a_readable_one() {
     let capture = with(&[
         ("sparse/0/cameras.txt", b"1 PINHOLE 96\n".to_vec()),
         ("sparse/0/images.txt", model(&["a.jpg", "b.jpg", "c.jpg", "d.jpg"])),
@@ -64,12 +64,12 @@ fn a_model_that_cannot_be_read_is_not_taken_in_place_of_one_that_can() {
         ("sparse/1/images.txt", model(&["a.jpg", "b.jpg", "c.jpg"])),
     ]);
     assert!(model_of(&capture).ends_with("sparse/1"));
-    let said = |warning: &CaptureWarning| warning.message.contains("sparse/0 cannot be read");
-    assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    let mentions = |warning: &CaptureWarning| warning.message.contains("sparse/0 cannot be read");
+    assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
 }
 
 #[test]
-fn a_model_alone_is_taken_without_a_word_wherever_it_lies() {
+fn a_single_model_is_used_without_a_warning_wherever_it_is() {
     for folder in ["sparse/0/", "sparse/7/", "sparse/", "colmap/sparse/0/", "dense/sparse/", ""] {
         let (cameras, images) = (format!("{folder}cameras.bin"), format!("{folder}images.bin"));
         let capture = with(&[(&cameras, b"x".to_vec()), (&images, b"x".to_vec())]);
@@ -108,14 +108,14 @@ fn low_light_sets_have_their_photographs_in_low_and_the_truth_in_high() {
 }
 
 #[test]
-fn poses_in_other_folders_are_taken_and_named() {
+fn poses_in_other_folders_are_used_and_named() {
     let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
     for folder in ["colmap_text", "images", "dslr_calibration", "export/model/0"] {
         let (cameras, images) = (format!("{folder}/Cameras.txt"), format!("{folder}/images.txt"));
         let capture = with(&[(&cameras, CAMERAS.to_vec()), (&images, model(&all))]);
         assert!(model_of(&capture).ends_with(folder), "{:?}", capture.poses);
-        let said = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.message.contains(&format!("of {folder} are taken"));
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
     let transforms = transforms(&all.map(|name| format!("../images/{name}")));
     let capture = with(&[("nerf/transforms.json", transforms)]);
@@ -125,7 +125,7 @@ fn poses_in_other_folders_are_taken_and_named() {
     ));
 }
 
-/// A `transforms.json` of photographs of these names.
+/// A `transforms.json` for photographs with these names.
 fn transforms(names: &[String]) -> Vec<u8> {
     let one = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
     let frame = |name| serde_json::json!({ "file_path": name, "transform_matrix": one });
@@ -135,8 +135,8 @@ fn transforms(names: &[String]) -> Vec<u8> {
 }
 
 #[test]
-fn poses_that_are_not_used_are_told() {
-    for (files, told) in [
+fn unused_poses_are_reported() {
+    for (files, words) in [
         (
             vec![("sparse/0/images.txt", model(&["a.jpg"]))],
             "no poses are read from sparse/0/images.txt: a COLMAP model is `cameras` and `images`",
@@ -162,13 +162,13 @@ fn poses_that_are_not_used_are_told() {
     ] {
         let capture = with(&files);
         assert_eq!(capture.poses, None);
-        let said = |w: &CaptureWarning| w.code == "poses_unused" && w.message.contains(told);
-        assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.code == "poses_unused" && w.message.contains(words);
+        assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
     }
 }
 
 #[test]
-fn the_poses_of_most_photographs_are_taken_in_any_format() {
+fn poses_with_most_photographs_are_used_in_any_format() {
     let all = ["a.jpg", "b.jpg", "c.jpg", "d.jpg"];
     let capture = with(&[
         ("sparse/0/cameras.txt", CAMERAS.to_vec()),
@@ -176,12 +176,12 @@ fn the_poses_of_most_photographs_are_taken_in_any_format() {
         ("transforms.json", transforms(&all.map(|name| format!("images/{name}")))),
     ]);
     assert!(matches!(capture.poses, Some(GivenPosesFile::Transforms(_))));
-    let said = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
-    assert!(capture.warnings.iter().any(said), "{:?}", capture.warnings);
+    let mentions = |w: &CaptureWarning| w.message.contains("sparse/0 3, transforms.json 4");
+    assert!(capture.warnings.iter().any(mentions), "{:?}", capture.warnings);
 }
 
 #[test]
-fn poses_beside_the_photographs_win_over_others() {
+fn poses_beside_the_photographs_take_precedence() {
     let names = ["a.jpg", "b.jpg", "c.jpg"];
     let mut files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
         .map(|(name, seed)| (format!("dense/images/{name}"), jpeg(seed)))
@@ -196,7 +196,7 @@ fn poses_beside_the_photographs_win_over_others() {
 }
 
 #[test]
-fn pictures_that_poses_name_are_read_and_not_their_namesakes() {
+fn pictures_named_by_poses_are_read_instead_of_their_namesakes() {
     let names = ["a.jpg", "b.jpg", "c.jpg"];
     let files: Vec<(String, Vec<u8>)> = { names.iter().zip(1..) }
         .flat_map(|(name, seed)| {
@@ -222,8 +222,8 @@ fn pictures_that_poses_name_are_read_and_not_their_namesakes() {
 }
 
 #[test]
-fn poses_in_the_formats_of_other_programs_are_told_whatever_they_are_called() {
-    let told = |files: &[(&str, &str)]| -> Vec<String> {
+fn poses_of_other_programs_are_reported_whatever_their_file_name() {
+    let warnings_of = |files: &[(&str, &str)]| -> Vec<String> {
         let files: Vec<_> =
             { files.iter() }.map(|(name, text)| (*name, text.as_bytes().to_vec())).collect();
         let warnings = with(&files).warnings.into_iter();
@@ -248,11 +248,13 @@ fn poses_in_the_formats_of_other_programs_are_told_whatever_they_are_called() {
         ("input.txt", "# Image list with two lines of data per image:\n", "cameras.txt"),
         ("pose/0001.txt", "1 0 0 0", "NSVF"),
     ] {
-        let told = told(&[(path, text)]);
-        let is_told = told.len() == 1 && told[0].starts_with(path) && told[0].contains(program);
-        assert!(is_told, "{path}: {told:?}");
+        let warnings = warnings_of(&[(path, text)]);
+        let is_reported =
+            warnings.len() == 1 && warnings[0].starts_with(path) && warnings[0].contains(program);
+        assert!(is_reported, "{path}: {warnings:?}");
     }
-    let sidecars = told(&[("images/a.xmp", xmp), ("images/b.xmp", xmp), ("s.xml", metashape)]);
+    let sidecars =
+        warnings_of(&[("images/a.xmp", xmp), ("images/b.xmp", xmp), ("s.xml", metashape)]);
     assert!(sidecars[0].starts_with("s.xml holds poses"), "{sidecars:?}");
     assert!(sidecars[1].starts_with("images/a.xmp and 1 more files hold"), "{sidecars:?}");
     let lightroom = "<x:xmpmeta><rdf:Description crs:Exposure2012=\"0.5\"/>";
@@ -263,13 +265,13 @@ fn poses_in_the_formats_of_other_programs_are_told_whatever_they_are_called() {
         ("cameras.xml", "<html></html>"),
         ("metadata.json", r#"{"title": "a walk"}"#),
     ] {
-        assert_eq!(told(&[(path, text)]), [""; 0], "{path}");
+        assert_eq!(warnings_of(&[(path, text)]), [""; 0], "{path}");
     }
     let utf16: Vec<u8> = { "\u{feff}".encode_utf16().chain(metashape.encode_utf16()) }
         .flat_map(u16::to_le_bytes)
         .collect();
-    let said = |w: &CaptureWarning| w.message.starts_with("wide.xml holds poses");
-    assert!(with(&[("wide.xml", utf16)]).warnings.iter().any(said));
+    let mentions = |w: &CaptureWarning| w.message.starts_with("wide.xml holds poses");
+    assert!(with(&[("wide.xml", utf16)]).warnings.iter().any(mentions));
 }
 
 #[test]
@@ -279,10 +281,10 @@ fn transforms_under_another_name_are_used() {
         let capture = with(&[(path, transforms(&names))]);
         let taken = capture.poses.as_ref().map(|poses| poses.path().to_owned());
         assert!(taken.is_some_and(|taken| taken.ends_with(path)), "{path}: {:?}", capture.warnings);
-        let said = |w: &CaptureWarning| w.message.contains(&format!("of {path} are taken"));
-        assert!(capture.warnings.iter().any(said), "{path}: {:?}", capture.warnings);
+        let mentions = |w: &CaptureWarning| w.message.contains(&format!("of {path} are taken"));
+        assert!(capture.warnings.iter().any(mentions), "{path}: {:?}", capture.warnings);
     }
-    // Those that are called as programs call them come first.
+    // Files with a program's own name come first.
     let capture = with(&[("transforms.json", transforms(&names)), ("a.json", transforms(&names))]);
     let taken = capture.poses.as_ref().expect("poses").path();
     assert!(taken.ends_with("transforms.json"));

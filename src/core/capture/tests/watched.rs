@@ -1,4 +1,4 @@
-//! Who watches while photographs are looked at.
+//! Callbacks during the assessment of photographs.
 
 use std::cell::Cell;
 use std::sync::Mutex;
@@ -8,7 +8,7 @@ use crate::capture::{DecodeBudget, Inspection, Look, Watch};
 use crate::image::EncodeFormat;
 
 #[test]
-fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() {
+fn a_watch_lends_memory_for_the_two_largest_and_sees_every_photograph() {
     let png = |width, height| {
         let picture = picture(7, width, height).encode(EncodeFormat::Png);
         picture.expect("encoded")
@@ -22,7 +22,7 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
     ];
     let folder = folder(&files);
     let asked = Cell::new(0);
-    let told = Mutex::new(Vec::new());
+    let reported = Mutex::new(Vec::new());
     let shown = Mutex::new(Vec::new());
     let watch = Watch {
         lend: &|bytes| {
@@ -38,7 +38,7 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
                 }
                 Look::Ended(name) => (name.to_owned(), -1),
             };
-            told.lock().expect("told").push((name, step));
+            reported.lock().expect("reported").push((name, step));
         },
     };
     let capture = folder.path().join("capture");
@@ -51,11 +51,11 @@ fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() 
     let names: Vec<&str> = shown.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, ["a.png", "b.png", "c.jpg"], "what is decoded, and no ground truth");
     assert!(shown.iter().all(|(_, width)| *width <= 320));
-    let told = told.into_inner().expect("told");
+    let reported = reported.into_inner().expect("reported");
     for name in ["a.png", "b.png", "c.jpg", "d.jpg", "gt/c.png"] {
-        let of_it = told.iter().filter(|(found, _)| found == name);
+        let of_it = reported.iter().filter(|(found, _)| found == name);
         let steps: Vec<i32> = of_it.map(|(_, step)| *step).collect();
-        assert!(!steps.is_empty(), "{name} was not told");
+        assert!(!steps.is_empty(), "{name} was not reported");
         assert_eq!(steps.iter().sum::<i32>(), 0, "{name} has no end");
         assert!(steps.chunks(2).all(|pair| pair == [1, -1]), "{name}");
     }

@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn a_zip_is_the_capture_that_its_folder_is() {
+fn a_zip_is_the_same_capture_as_its_folder() {
     let names = [
         "fox/images/1.jpg",
         "fox/images/2.jpg",
@@ -29,7 +29,7 @@ fn a_zip_is_the_capture_that_its_folder_is() {
 }
 
 #[test]
-fn a_zip_of_the_folder_that_it_was_made_in_is_read() {
+fn a_zip_made_inside_its_own_folder_is_read() {
     let names = ["./images/1.jpg", "./images/2.jpg", "./images/3.jpg", "./.DS_Store"];
     let bytes = zipped(&|writer| {
         (1..).zip(names).for_each(|(i, name)| add(writer, name, &jpeg(i)));
@@ -43,7 +43,7 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     let good = |writer: &mut ZipWriter<Cursor<Vec<u8>>>| {
         (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
     };
-    // The writer refuses some of these names itself, so they are put in afterwards.
+    // The writer rejects some of these names itself, so they are inserted afterwards.
     let renamed = |placeholder: &str, name: &str| {
         let bytes = zipped(&|writer| {
             good(writer);
@@ -87,7 +87,7 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     }
 }
 
-/// Replaces the method of every entry, in its own head and in the directory's.
+/// Replaces the method of every entry, in its own header and in the directory.
 fn with_method(bytes: &[u8], method: u8) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     for at in 0..bytes.len() - 12 {
@@ -102,7 +102,7 @@ fn with_method(bytes: &[u8], method: u8) -> Vec<u8> {
 
 #[test]
 fn deflate64_is_read_and_other_methods_are_named() {
-    // Noise is stored as it is, in blocks that both kinds of Deflate have in common.
+    // Noise is stored uncompressed, in blocks common to both kinds of Deflate.
     let bytes = zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
     let plain = open_zip(&bytes).0.expect("a capture");
     let capture = open_zip(&with_method(&bytes, 9)).0.expect("Deflate64");
@@ -114,7 +114,7 @@ fn deflate64_is_read_and_other_methods_are_named() {
 }
 
 #[test]
-fn many_small_files_that_shrink_too_much_together_are_a_bomb_too() {
+fn many_highly_compressed_small_files_are_a_bomb_too() {
     let zeros = vec![0; 1 << 20];
     let bytes = zipped(&|writer| {
         (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
@@ -131,7 +131,7 @@ fn encrypted_and_corrupt_entries_are_refused_and_removed() {
     let mut bytes =
         zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
     let whole = bytes.clone();
-    // Bit 0 of the flags, at 8 in each central header.
+    // Bit 0 of the flags, at offset 8 in each central header.
     let at = find(&bytes, b"PK\x01\x02").expect("a central header");
     bytes[at + 8] |= 1;
     let (outcome, left) = open_zip(&bytes);
@@ -159,7 +159,7 @@ fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn what_a_zip_has_besides_photographs_is_listed_and_not_unpacked() {
+fn other_files_in_a_zip_are_listed_and_not_unpacked() {
     let bytes = zipped(&|writer| {
         (0..3).for_each(|i| add(writer, &format!("images/{i}.jpg"), &jpeg(i)));
         add(writer, "images/walk.mov", b"a video");
@@ -177,11 +177,11 @@ fn what_a_zip_has_besides_photographs_is_listed_and_not_unpacked() {
 }
 
 #[test]
-fn the_second_byte_of_a_character_divides_no_path() {
+fn the_second_byte_of_a_character_is_not_a_separator() {
     let bytes = zipped(&|writer| {
         (0..3).for_each(|i| add(writer, &format!("images/xx{i}.jpg"), &jpeg(i)));
     });
-    // A katakana of code page 932.
+    // A katakana in code page 932.
     let bytes = replace(&bytes, b"images/xx", b"images/\x83\x5c");
     let capture = open_zip(&bytes).0.expect("a capture");
     for view in &capture.views {
@@ -191,7 +191,7 @@ fn the_second_byte_of_a_character_divides_no_path() {
     assert_eq!(open_zip(&bytes).0.expect("a capture").views.len(), 3);
 }
 
-/// As if the entry of this name were so large unpacked, in the archive's directory.
+/// Sets the unpacked size of the entry with this name in the archive's directory.
 fn with_size(bytes: &[u8], name: &str, size: u32) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     let at = (0..bytes.len()).rfind(|&at| bytes[at..].starts_with(name.as_bytes()));
@@ -202,8 +202,8 @@ fn with_size(bytes: &[u8], name: &str, size: u32) -> Vec<u8> {
 }
 
 #[test]
-fn limits_hold_for_what_is_unpacked_and_the_rest_is_listed_or_passed_over() {
-    for (name, told) in [
+fn limits_apply_to_unpacked_files_and_the_rest_is_listed_or_skipped() {
+    for (name, expected) in [
         ("images/walk.mov", Some("a video")),
         ("images/walk.mkv", Some("Matroska")),
         ("images/layers.psd", Some("Photoshop")),
@@ -216,14 +216,17 @@ fn limits_hold_for_what_is_unpacked_and_the_rest_is_listed_or_passed_over() {
             (0..3).for_each(|i| add(writer, &format!("images/{i}.jpg"), &jpeg(i)));
             add(writer, name, b"0123456789");
         });
-        // Nine of them are more than an archive may hold, too.
+        // Nine of them also exceed the limit of an archive.
         let (outcome, left) = open_zip(&with_size(&bytes, name, 900 << 20));
         let capture = outcome.unwrap_or_else(|error| panic!("{name}: {error}"));
         assert_eq!(capture.views.len(), 3, "{name}");
         let reasons = capture.assessments.iter().filter_map(|one| one.reason.as_deref());
         let reasons: Vec<&str> = reasons.collect();
-        assert_eq!(reasons.len(), usize::from(told.is_some()), "{name}: {reasons:?}");
-        assert!(told.is_none_or(|told| reasons[0].contains(told)), "{name}: {reasons:?}");
+        assert_eq!(reasons.len(), usize::from(expected.is_some()), "{name}: {reasons:?}");
+        assert!(
+            expected.is_none_or(|expected| reasons[0].contains(expected)),
+            "{name}: {reasons:?}"
+        );
         assert_eq!(left.len(), 1 + 3, "{name}: {left:?}");
         let (outcome, _) = open_zip(&with_size(&bytes, "images/2.jpg", 900 << 20));
         assert!(outcome.expect_err("a bomb").to_string().contains("shrunk"));
@@ -231,7 +234,7 @@ fn limits_hold_for_what_is_unpacked_and_the_rest_is_listed_or_passed_over() {
 }
 
 #[test]
-fn a_clip_that_is_not_unpacked_hides_no_bomb() {
+fn a_video_that_is_not_unpacked_hides_no_bomb() {
     let zeros = vec![0; 1 << 20];
     let noise: Vec<u8> =
         (0..4_u64 << 20).map(|i| (i.wrapping_mul(i * 2_654_435_761) >> 13) as u8).collect();

@@ -1,35 +1,35 @@
-//! Which frames are taken.
+//! Chooses the frames to take.
 
-/// Stretches of equal length, from each of which one frame is taken.
-pub(super) struct Stretches {
+/// Segments of equal length, from each of which one frame is taken.
+pub(super) struct Segments {
     frames: usize,
     count: usize,
 }
 
-/// Share of a stretch at each of its ends from which nothing is taken: the sharpest frames of
-/// neighbours would else be neighbours, too.
+/// Share at each end of a segment from which nothing is taken: otherwise the sharpest frames of
+/// adjacent segments could be adjacent, too.
 const MARGIN: f64 = 0.1;
 
-impl Stretches {
-    /// Of a video with `frames` frames: `count`, or as many as there are frames.
+impl Segments {
+    /// For a video with `frames` frames: `count` segments, or one per frame if there are fewer.
     pub(super) fn of(frames: usize, count: usize) -> Self {
         Self { frames, count: count.clamp(1, frames.max(1)) }
     }
 
-    /// The sharpest frame of each stretch, in order, no frame twice.
+    /// The sharpest frame of each segment, in order, without repeats.
     pub(super) fn sharpest(&self, sharpness: &[f32]) -> Vec<usize> {
         (0..self.count)
-            .map(|stretch| {
-                let range = self.range(stretch);
+            .map(|segment| {
+                let range = self.range(segment);
                 let first = range.start;
                 range.max_by(|&a, &b| sharpness[a].total_cmp(&sharpness[b])).unwrap_or(first)
             })
             .collect()
     }
 
-    fn range(&self, stretch: usize) -> std::ops::Range<usize> {
+    fn range(&self, segment: usize) -> std::ops::Range<usize> {
         let length = self.frames as f64 / self.count as f64;
-        let (from, to) = (stretch as f64 * length, (stretch + 1) as f64 * length);
+        let (from, to) = (segment as f64 * length, (segment + 1) as f64 * length);
         let margin = MARGIN * length;
         let inner = (from + margin).ceil() as usize..(to - margin).floor() as usize;
         if inner.is_empty() {
@@ -40,7 +40,7 @@ impl Stretches {
     }
 }
 
-/// Mean squared gradient over the squared mean, of a square of grey values: independent of
+/// Mean squared gradient over the squared mean, for a square of grey values: independent of
 /// exposure, comparable within one video.
 pub(super) fn sharpness(grey: &[u8], side: usize) -> f32 {
     let value = |x: usize, y: usize| f32::from(grey[y * side + x]);
@@ -64,16 +64,16 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn of_each_stretch_the_sharpest_frame_is_taken() {
+    fn the_sharpest_frame_of_each_segment_is_taken() {
         let mut sharpness = vec![1.0; 40];
         for sharp in [5, 17, 22, 33] {
             sharpness[sharp] = 2.0;
         }
-        assert_eq!(Stretches::of(40, 4).sharpest(&sharpness), [5, 17, 22, 33]);
+        assert_eq!(Segments::of(40, 4).sharpest(&sharpness), [5, 17, 22, 33]);
     }
 
     #[test]
-    fn a_blurred_frame_is_less_sharp_and_a_darker_one_is_not() {
+    fn blur_reduces_sharpness_and_darkness_does_not() {
         let side = 16;
         let stripes: Vec<u8> =
             (0..side * side).map(|i| if i % side % 4 < 2 { 40 } else { 200 }).collect();
@@ -86,10 +86,10 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_frame_taken_is_there_and_they_are_in_order(
+        fn frames_taken_exist_and_are_in_order(
             sharpness in prop::collection::vec(0.0_f32..1.0, 3..200), count in 1..80_usize
         ) {
-            let chosen = Stretches::of(sharpness.len(), count).sharpest(&sharpness);
+            let chosen = Segments::of(sharpness.len(), count).sharpest(&sharpness);
             prop_assert_eq!(chosen.len(), count.min(sharpness.len()));
             prop_assert!(chosen.windows(2).all(|pair| pair[0] < pair[1]));
             prop_assert!(chosen.iter().all(|&frame| frame < sharpness.len()));

@@ -1,4 +1,4 @@
-//! Why no photographs come of a video, and what it may be.
+//! Why a video yields no photographs, and the video limits.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -9,39 +9,39 @@ use crate::capture::error::MIN_VIEWS;
 use crate::ffmpeg::last_line;
 use crate::image::Unread;
 
-/// Most frames of a video: ten minutes at 60 a second.
+/// Maximum number of frames of a video: ten minutes at 60 a second.
 pub(super) const MOST_IN_VIDEO: usize = 36_000;
 
-/// How long ffmpeg may take in all. Who waits for an answer to an upload waits ten minutes.
+/// Total time limit for ffmpeg. A client waits ten minutes for the response to an upload.
 pub(super) const PATIENCE: Duration = Duration::from_secs(8 * 60);
 
-/// Why no photographs come of a video.
+/// Why a video yields no photographs.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     /// There is no ffmpeg.
     #[error("videos are read by ffmpeg, which cannot be started: {program}: {reason}")]
     Missing {
-        /// What was started.
+        /// The command.
         program: String,
-        /// What the system said.
+        /// The system's message.
         reason: String,
     },
-    /// A file of a format that is known and not read.
+    /// A file in a known but unsupported format.
     #[error("{0}")]
     Unread(Unread),
-    /// Only sound, or other data.
+    /// Only sound or other data.
     #[error("there is no picture in the file, only sound or other data")]
     NoPicture,
-    /// Pictures that are coded in a way that is not read.
+    /// Pictures in an unsupported coding.
     #[error("the video is coded in a way that is not read; ffmpeg says: {said}")]
     Codec {
-        /// The last that ffmpeg said.
+        /// The last line from ffmpeg.
         said: String,
     },
-    /// Pictures of all directions, by the file's own description.
+    /// A 360-degree panorama, according to the file's own description.
     #[error("the video is a panorama of 360 degrees ({projection}), which no one camera takes")]
     Sphere {
-        /// How ffmpeg calls the projection.
+        /// ffmpeg's name for the projection.
         projection: String,
     },
     /// Two moments in each frame, which this ffmpeg cannot separate.
@@ -52,42 +52,42 @@ pub enum VideoError {
     /// ffmpeg cannot read it.
     #[error("the video cannot be read: {reason}")]
     Unreadable {
-        /// Why, and what ffmpeg said.
+        /// The reason, and ffmpeg's message.
         reason: String,
     },
-    /// It is too short.
+    /// The video is too short.
     #[error("the video has {frames} frames, at least {} are needed", MIN_VIEWS)]
     TooShort {
-        /// How many it has.
+        /// Its number of frames.
         frames: usize,
     },
-    /// It is too long.
+    /// The video is too long.
     #[error("the video has more than {MOST_IN_VIDEO} frames")]
     TooLong,
-    /// Its frames would take more than there is room for.
+    /// Its frames could exceed the available space.
     #[error("the photographs may take {bytes} bytes, more than there is room for")]
     NoRoom {
-        /// What they may take.
+        /// The size that they may reach.
         bytes: u64,
     },
     /// ffmpeg took too long.
     #[error("ffmpeg was stopped after {} minutes", PATIENCE.as_secs() / 60)]
     Timeout,
-    /// Asked to stop.
+    /// Cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
+        /// The path.
         path: PathBuf,
-        /// What it said.
+        /// The cause.
         source: io::Error,
     },
 }
 
 impl VideoError {
-    /// The meaning of the last line that ffmpeg wrote.
+    /// The error for the last line that ffmpeg wrote.
     pub(super) fn of_ffmpeg(said: &str) -> Self {
         let last = last_line(said);
         if said.contains("matches no streams") {
@@ -106,7 +106,7 @@ impl VideoError {
         Self::Unreadable { reason: format!("{meaning} (ffmpeg says: {last})") }
     }
 
-    /// What to do about it.
+    /// A remedy for the user.
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Missing { .. } => {

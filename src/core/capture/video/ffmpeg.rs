@@ -1,7 +1,7 @@
-//! One reading of a video by ffmpeg.
+//! Reads a video once with ffmpeg.
 //!
-//! The file may be hostile: only the demuxer of MP4 and MOV is let at it, which opens no other
-//! file, nothing but files can be opened, and sizes and time are bounded.
+//! The file may be hostile: only the MP4 and MOV demuxer is enabled, which opens no other file;
+//! only files can be opened; and sizes and time are limited.
 
 use std::ffi::OsString;
 use std::io::Read;
@@ -15,44 +15,44 @@ use crate::cancel::CancelToken;
 use crate::ffmpeg::{Words, command, last_line};
 use crate::group::Group;
 
-/// Most pixels of a frame that is decoded.
+/// Maximum number of pixels of a decoded frame.
 const MOST_PIXELS: usize = 40_000_000;
 
-/// How often a cancel is looked for.
+/// Interval at which cancellation is checked.
 const POLL: Duration = Duration::from_millis(50);
 
-/// What phones and cameras write into MP4 and MOV, as ffmpeg calls its decoders.
+/// Codecs that phones and cameras write into MP4 and MOV, by the names of ffmpeg's decoders.
 const CODECS: &str = "h264,hevc,mpeg4,vp9,libvpx-vp9,av1,libdav1d,libaom-av1,mjpeg,prores,dnxhd";
 
-/// What programs that start another end with when there is none. ffmpeg does not.
+/// Exit code of launchers that do not find their program. ffmpeg does not use it.
 const NOT_FOUND: i32 = 127;
 
-/// A program and what it reads.
+/// A program and its input.
 pub(super) struct Ffmpeg<'a> {
-    /// The program, and arguments before ours where it is one that starts ffmpeg.
+    /// The program, with leading arguments if it is one that starts ffmpeg.
     pub command: &'a [OsString],
     pub video: &'a Path,
     pub cancel: &'a CancelToken,
-    /// When its time is over.
+    /// The deadline.
     pub until: Instant,
 }
 
-/// Takes a piece, and says whether more is wanted.
+/// Receives a chunk, and returns whether to continue.
 type Take<'a> = &'a mut dyn FnMut(&[u8]) -> bool;
 
-/// What becomes of its output.
+/// Where the output goes.
 pub(super) enum Output<'a> {
-    /// Standard output in pieces of so many bytes, until one is the last that is wanted.
+    /// Standard output in chunks of this many bytes, until the callback ends it.
     Chunks(usize, Take<'a>),
-    /// Files in a folder, which it is started in.
+    /// Files in a folder, which is the working directory.
     Folder(&'a Path),
 }
 
 impl Ffmpeg<'_> {
-    /// Reads the video once, every frame as it is stored, and gives what ffmpeg said.
+    /// Reads the video once, every frame as stored, and returns ffmpeg's log.
     ///
     /// # Errors
-    /// [`VideoError`]; nothing of the process is left then.
+    /// [`VideoError`]; the process has ended by then.
     pub(super) fn run(
         &self,
         arguments: &[String],
@@ -90,7 +90,7 @@ impl Ffmpeg<'_> {
 
     fn spawn(&self, arguments: &[String], output: &Output<'_>) -> Result<Group, VideoError> {
         let pixels = MOST_PIXELS.to_string();
-        // Where it is started is another folder, and a name may begin like an option.
+        // The working directory differs, and a name may begin like an option.
         let video = absolute(self.video).map_err(VideoError::io(self.video))?;
         let Some((program, first)) = self.command.split_first() else {
             return Err(self.missing("no program is named".to_owned()));
@@ -98,7 +98,7 @@ impl Ffmpeg<'_> {
         let mut command = command(program, first);
         command
             .args(["-threads", "2", "-filter_threads", "2", "-max_pixels", &pixels])
-            // Numbers of frames begin anew where a size changes, if filters may do so.
+            // Frame numbers restart at a size change if filters may be reinitialised.
             .args(["-reinit_filter", "0", "-codec_whitelist", CODECS])
             .args(["-protocol_whitelist", "file,pipe", "-f", "mov", "-i"])
             .arg(video)
@@ -114,7 +114,7 @@ impl Ffmpeg<'_> {
         Group::spawn(&mut command).map_err(|source| self.missing(source.to_string()))
     }
 
-    /// How it ended; `None` where it was stopped because no more is wanted.
+    /// The exit status; `None` if it was stopped because no more output is needed.
     fn follow(
         &self,
         child: &mut Group,
@@ -145,7 +145,7 @@ impl Ffmpeg<'_> {
     }
 }
 
-/// Standard output in whole pieces; ends with it, and a rest is dropped.
+/// Standard output in whole chunks until it ends; a partial chunk is dropped.
 fn chunks(stream: Option<impl Read + Send + 'static>, length: usize) -> Receiver<Vec<u8>> {
     let (sender, receiver) = sync_channel(4);
     if let Some(mut stream) = stream {

@@ -1,10 +1,10 @@
-//! Videos with a larger range of brightness than sRGB has.
+//! Videos with a brightness range larger than sRGB.
 
 use std::fmt;
 
 use crate::image::hdr::{HdrTransfer, PEAK, WHITE};
 
-/// A larger range, and what is done about it.
+/// A larger range, and how it is handled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hdr {
     transfer: HdrTransfer,
@@ -12,11 +12,11 @@ pub struct Hdr {
 }
 
 impl Hdr {
-    /// The range of a first frame, from what `showinfo` says of it.
-    pub(super) fn of(said: &str) -> Option<Self> {
-        let transfer = if said.contains("color_trc:arib-std-b67") {
+    /// The range of the first frame, from the output of `showinfo`.
+    pub(super) fn of(log: &str) -> Option<Self> {
+        let transfer = if log.contains("color_trc:arib-std-b67") {
             HdrTransfer::Hlg
-        } else if said.contains("color_trc:smpte2084") {
+        } else if log.contains("color_trc:smpte2084") {
             HdrTransfer::Pq
         } else {
             return None;
@@ -24,13 +24,13 @@ impl Hdr {
         Some(Self { transfer, is_converted: true })
     }
 
-    /// The same, where this ffmpeg cannot convert it.
+    /// The same range, for an ffmpeg that cannot convert it.
     pub(super) fn left(self) -> Self {
         Self { is_converted: false, ..self }
     }
 
-    /// Filters behind others that make sRGB of it: linear up to three tenths of white, as the dark
-    /// is what counts here, and bent above, up to the peak.
+    /// Filters to append that convert it to sRGB: linear up to three tenths of white, as the dark
+    /// range matters here, and compressed above, up to the peak.
     pub(super) fn filters(self) -> String {
         if !self.is_converted {
             return String::new();

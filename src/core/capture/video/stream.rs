@@ -4,20 +4,20 @@ use super::error::VideoError;
 use super::ffmpeg::{Ffmpeg, Output};
 use super::range::Hdr;
 
-/// Frames in which fields are looked for where the stream declares none.
+/// Frames searched for fields if the stream declares none.
 const PROBED_FRAMES: usize = 100;
 
-/// Fewest frames that must show fields.
+/// Minimum number of frames that must show fields.
 const FEWEST_COMBED: usize = 6;
 
-/// Filters that deinterlace, best first.
+/// Deinterlacing filters, best first.
 const DEINTERLACERS: [&str; 2] = ["bwdif", "yadif"];
 
-/// The treatment that the pictures of a video need.
+/// The preprocessing that a video needs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Stream {
-    /// Filters in front of all others, which give whole pictures of the declared colours; each
-    /// ends with a comma.
+    /// Filters to prepend, which produce whole pictures in the declared colours; each ends with a
+    /// comma.
     pub(super) first: String,
     pub(super) is_interlaced: bool,
     pub(super) hdr: Option<Hdr>,
@@ -34,26 +34,28 @@ impl Stream {
     /// Reads the beginning of the video.
     ///
     /// # Errors
-    /// [`VideoError`]; [`VideoError::Sphere`] where no flat picture is in it.
+    /// [`VideoError`]; [`VideoError::Sphere`] if it has no flat picture.
     pub(super) fn of(ffmpeg: &Ffmpeg<'_>) -> Result<Self, VideoError> {
-        let said = say(ffmpeg, "showinfo", Some(1))?;
-        let input = said.split("Stream mapping:").next().unwrap_or_default();
+        let log = filter_log(ffmpeg, "showinfo", Some(1))?;
+        let input = log.split("Stream mapping:").next().unwrap_or_default();
         if let Some(projection) = projection(input) {
             return Err(VideoError::Sphere { projection: projection.to_owned() });
         }
         let line = input.lines().find(|l| l.contains(": Video: ") && !l.contains("attached pic"));
         let line = line.unwrap_or_default();
-        let hdr = Hdr::of(&said);
+        let hdr = Hdr::of(&log);
         let mut first = String::new();
-        let fields = match declared(line).or_else(|| flagged(&said)) {
-            None => shown(&say(ffmpeg, &format!("trim=end_frame={PROBED_FRAMES},idet"), None)?),
+        let fields = match declared(line).or_else(|| flagged(&log)) {
+            None => {
+                shown(&filter_log(ffmpeg, &format!("trim=end_frame={PROBED_FRAMES},idet"), None)?)
+            }
             fields => fields,
         };
         if let Some(fields) = fields {
-            first += &deinterlacer(ffmpeg, fields, &said, turn(input))?;
+            first += &deinterlacer(ffmpeg, fields, &log, turn(input))?;
         }
-        // ffmpeg takes BT.601 where nothing is declared, at every size.
-        let is_untagged = said.contains("color_space:unknown") && said.contains(" fmt:yuv");
+        // ffmpeg assumes BT.601 for undeclared colours at every size.
+        let is_untagged = log.contains("color_space:unknown") && log.contains(" fmt:yuv");
         if is_untagged && hdr.is_none() && size_in(line.split(", ")).is_some_and(is_hd) {
             first += "setparams=colorspace=bt709,";
         }
@@ -61,8 +63,12 @@ impl Stream {
     }
 }
 
-/// The log of ffmpeg while it reads the video, or its first frames, through a filter.
-fn say(ffmpeg: &Ffmpeg<'_>, filter: &str, frames: Option<usize>) -> Result<String, VideoError> {
+/// The log of ffmpeg while it runs the video, or its first frames, through a filter.
+fn filter_log(
+    ffmpeg: &Ffmpeg<'_>,
+    filter: &str,
+    frames: Option<usize>,
+) -> Result<String, VideoError> {
     let mut arguments = vec!["-loglevel".to_owned(), "info".to_owned()];
     arguments.extend(["-nostats", "-vf", filter].map(str::to_owned));
     if let Some(frames) = frames {
@@ -72,18 +78,18 @@ fn say(ffmpeg: &Ffmpeg<'_>, filter: &str, frames: Option<usize>) -> Result<Strin
     ffmpeg.run(&arguments, Output::Chunks(1, &mut |_: &[u8]| true))
 }
 
-/// How all directions are laid out in one picture, if they are.
+/// The 360-degree projection, if there is one.
 fn projection(input: &str) -> Option<&str> {
     let text = input.lines().find_map(|line| line.trim_start().strip_prefix("spherical: "));
     let name = text.map(|text| text.split(" (").next().unwrap_or(text).trim());
-    // ffmpeg reads the older description only where it is complete.
+    // ffmpeg reads the older description only if it is complete.
     let partial = input.contains("Invalid spherical metadata").then_some("of some projection");
     name.or(partial).filter(|&name| name != "rectilinear")
 }
 
-/// The order of fields in the stream's description.
+/// The field order in the stream's description.
 fn declared(line: &str) -> Option<Fields> {
-    // The first word is that of the field shown first or, where they are swapped, stored first.
+    // The first word is the field shown first or, if the fields are swapped, stored first.
     let orders = [
         ("top first", Fields::Top),
         ("bottom first", Fields::Bottom),
@@ -94,17 +100,17 @@ fn declared(line: &str) -> Option<Fields> {
     found.map(|(_, fields)| fields)
 }
 
-/// The order of fields in the first frame.
-fn flagged(said: &str) -> Option<Fields> {
+/// The field order of the first frame.
+fn flagged(log: &str) -> Option<Fields> {
     let orders = [(" i:T ", Fields::Top), (" i:B ", Fields::Bottom)];
-    let line = said.lines().find(|line| line.contains("showinfo") && line.contains(" i:"))?;
+    let line = log.lines().find(|line| line.contains("showinfo") && line.contains(" i:"))?;
     orders.into_iter().find(|(order, _)| line.contains(order)).map(|(_, fields)| fields)
 }
 
-/// The order of fields in most frames, by their combs. Pictures of one moment have as many of one
-/// order as of the other.
-fn shown(said: &str) -> Option<Fields> {
-    let counts = said.lines().rfind(|line| line.contains("Multi frame detection:"))?;
+/// The field order of most frames, from their combing. Progressive frames show both orders equally
+/// often.
+fn shown(log: &str) -> Option<Fields> {
+    let counts = log.lines().rfind(|line| line.contains("Multi frame detection:"))?;
     let count = |name: &str| {
         let after = counts.split(name).nth(1)?.split_whitespace().next()?;
         after.parse::<usize>().ok()
@@ -120,8 +126,8 @@ fn shown(said: &str) -> Option<Fields> {
     }
 }
 
-/// Filters that undo the turn with which ffmpeg makes pictures upright, and that repeat it. Fields
-/// are rows of the picture as it is stored.
+/// Filters that undo ffmpeg's rotation to upright, and that redo it. Fields are rows of the picture
+/// as stored.
 fn turn(input: &str) -> [&'static str; 2] {
     let text = input.lines().find_map(|line| line.split("displaymatrix: rotation of ").nth(1));
     let degrees = text.and_then(|text| text.split(' ').next()?.parse::<f64>().ok());
@@ -133,19 +139,19 @@ fn turn(input: &str) -> [&'static str; 2] {
     }
 }
 
-/// The filters that make one whole picture of each pair of fields.
+/// The filters that merge each pair of fields into one picture.
 fn deinterlacer(
     ffmpeg: &Ffmpeg<'_>,
     fields: Fields,
-    said: &str,
+    log: &str,
     [undo, redo]: [&str; 2],
 ) -> Result<String, VideoError> {
     let order = match fields {
         Fields::Top => "tff",
         Fields::Bottom => "bff",
     };
-    // These filters need every frame to have the size of the first.
-    let frame = said.lines().find(|line| line.contains("showinfo") && line.contains(" s:"));
+    // These filters require all frames to have the size of the first.
+    let frame = log.lines().find(|line| line.contains("showinfo") && line.contains(" s:"));
     let words = frame.unwrap_or_default().split_whitespace();
     let Some((width, height)) = size_in(words.filter_map(|word| word.strip_prefix("s:"))) else {
         return Err(VideoError::Interlaced);
@@ -153,9 +159,9 @@ fn deinterlacer(
     for name in DEINTERLACERS {
         let filter =
             format!("scale={width}:{height},{undo}{name}=mode=send_frame:parity={order},{redo}");
-        match say(ffmpeg, filter.trim_end_matches(','), Some(1)) {
+        match filter_log(ffmpeg, filter.trim_end_matches(','), Some(1)) {
             Ok(_) => return Ok(filter),
-            // The first reading went well, so it is the filter.
+            // The first reading succeeded, so the filter is at fault.
             Err(VideoError::Unreadable { .. }) => {}
             Err(error) => return Err(error),
         }
@@ -171,7 +177,7 @@ fn size_in<'a>(mut parts: impl Iterator<Item = &'a str>) -> Option<(usize, usize
     })
 }
 
-/// Whether players take a video of this size that declares no colours as BT.709.
+/// Whether players assume BT.709 for a video of this size without declared colours.
 fn is_hd((width, height): (usize, usize)) -> bool {
     width >= 1280 || height >= 720
 }
@@ -181,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_order_of_fields_is_that_in_which_they_are_shown() {
+    fn the_field_order_is_the_display_order() {
         let line = |order: &str| {
             format!("  Stream #0:0(und): Video: prores (apcn), yuv422p10le({order}), 720x576 [SAR")
         };
@@ -197,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn combs_count_only_where_nearly_all_are_of_one_order() {
+    fn combing_counts_only_if_nearly_all_frames_agree() {
         let shown = |top: usize, bottom: usize, progressive: usize| {
             shown(&format!(
                 "[Parsed_idet_1 @ 0x1] Single frame detection: TFF: 1 BFF: 1 Progressive: 1\n\
@@ -213,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_of_hd_size_is_told_by_its_stored_lines() {
+    fn hd_size_is_determined_by_the_stored_lines() {
         let size = |line: &str| size_in(line.split(", "));
         let line = "  Stream #0:0(und): Video: h264 (High) (avc1 / 0x31637661), yuv420p(tv, \
                     progressive), 1280x720 [SAR 1:1 DAR 16:9], 608 kb/s, 6 fps";

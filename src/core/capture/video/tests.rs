@@ -43,7 +43,7 @@ fn numbers(taken: &Taken) -> Vec<usize> {
 }
 
 #[test]
-fn of_every_stretch_the_sharpest_frame_becomes_a_photograph() {
+fn the_sharpest_frame_of_each_segment_becomes_a_photograph() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "a clip.mp4", &[]);
     let taken = taken(&video, 6, &folder.path().join("images")).expect("frames");
@@ -69,7 +69,7 @@ fn a_video_held_upright_becomes_upright_photographs() {
         .arg(&video)
         .status();
     if !status.expect("ffmpeg").success() {
-        // Older ones have the turn as metadata.
+        // Older versions store the rotation as metadata.
         let status = Command::new("ffmpeg")
             .args(["-nostdin", "-loglevel", "error", "-i"])
             .arg(&lying)
@@ -84,7 +84,7 @@ fn a_video_held_upright_becomes_upright_photographs() {
 }
 
 #[test]
-fn what_is_no_video_cut_short_or_a_list_of_other_files_is_refused() {
+fn files_that_are_not_videos_truncated_or_playlists_are_refused() {
     let folder = TempDir::new().expect("folder");
     let whole = fs::read(made(&folder, "whole.mp4", &[])).expect("read");
     let secret = folder.path().join("secret.mp4");
@@ -110,7 +110,7 @@ fn what_is_no_video_cut_short_or_a_list_of_other_files_is_refused() {
 }
 
 #[test]
-fn without_ffmpeg_it_says_so_and_a_cancelled_reading_ends() {
+fn a_missing_ffmpeg_is_reported_and_a_cancelled_reading_ends() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "whole.mp4", &[]);
     let cancel = CancelToken::new();
@@ -135,7 +135,7 @@ fn a_video_of_two_frames_is_too_short() {
 }
 
 #[test]
-fn hundreds_of_frames_are_taken_and_no_more_than_there_is_room_for() {
+fn hundreds_of_frames_are_taken_within_the_available_space() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "long.mp4", &["-t", "3", "-r", "100", "-vf", "scale=64:36"]);
     let into = folder.path().join("images");
@@ -149,7 +149,7 @@ fn hundreds_of_frames_are_taken_and_no_more_than_there_is_room_for() {
 }
 
 #[test]
-fn pixels_that_are_not_square_become_square() {
+fn non_square_pixels_become_square() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "wide.mp4", &["-vf", "scale=144:96,setsar=4/3"]);
     let taken = taken(&video, 3, folder.path()).expect("frames");
@@ -157,9 +157,9 @@ fn pixels_that_are_not_square_become_square() {
     assert_eq!((image.width(), image.height()), (192, 96));
 }
 
-/// Two parts of other sizes in one file, as no camera writes it.
+/// Two parts of different sizes in one file, as no camera writes it.
 #[test]
-fn where_its_size_changes_the_frames_are_still_counted_once() {
+fn frames_are_counted_once_across_a_size_change() {
     let folder = TempDir::new().expect("folder");
     let parts = [("a.mp4", "scale=320:180"), ("b.mp4", "scale=160:90")];
     for (name, size) in parts {
@@ -179,7 +179,7 @@ fn where_its_size_changes_the_frames_are_still_counted_once() {
     assert_eq!(taken.files.len(), 4, "of {}", taken.frames);
 }
 
-/// A video of one grey, as HLG or PQ codes it in 10 bits.
+/// A video of one grey level, coded as HLG or PQ in 10 bits.
 fn grey(folder: &TempDir, name: &str, level: u32, transfer: &str) -> PathBuf {
     let path = folder.path().join(name);
     let status = Command::new("ffmpeg")
@@ -197,10 +197,10 @@ fn grey(folder: &TempDir, name: &str, level: u32, transfer: &str) -> PathBuf {
 }
 
 #[test]
-fn a_larger_range_becomes_srgb_and_the_warning_says_so() {
+fn a_larger_range_becomes_srgb_with_a_warning() {
     let folder = TempDir::new().expect("folder");
-    // White of 203 nits and a dark grey of 10, as ITU-R BT.2408 and BT.2100 code them; the bend
-    // above three tenths of white takes the first to 0.68 of it.
+    // White of 203 nits and a dark grey of 10, coded by ITU-R BT.2408 and BT.2100; compression
+    // above three tenths of white maps the first to 0.68 of it.
     let cases = [
         ("HLG", 721, "arib-std-b67", 0.843),
         ("HLG", 287, "arib-std-b67", 0.246),
@@ -211,8 +211,8 @@ fn a_larger_range_becomes_srgb_and_the_warning_says_so() {
         let video = grey(&folder, &format!("{name}-{level}.mov"), level, transfer);
         let into = folder.path().join(format!("{name}-{level}"));
         let taken = taken(&video, 3, &into).expect("frames");
-        let told = taken.told("it");
-        assert!(told.contains(&format!("HDR ({name}) and was tone-mapped")), "{told}");
+        let warning = taken.told("it");
+        assert!(warning.contains(&format!("HDR ({name}) and was tone-mapped")), "{warning}");
         let image = Image::<Srgb>::load(&taken.files[0]).expect("a photograph");
         for value in image.get(48, 32) {
             assert!((value - expected).abs() < 0.006, "{name} {level}: {value}");
@@ -223,7 +223,7 @@ fn a_larger_range_becomes_srgb_and_the_warning_says_so() {
 }
 
 #[test]
-fn what_is_not_read_is_told_by_what_it_means() {
+fn unsupported_videos_are_reported_with_the_cause() {
     let folder = TempDir::new().expect("folder");
     let make = |name: &str, input: &str, further: &[&str]| {
         let path = folder.path().join(name);
@@ -253,7 +253,7 @@ fn what_is_not_read_is_told_by_what_it_means() {
     }
 }
 
-/// A video of what a filter of ffmpeg draws.
+/// A video drawn by an ffmpeg filter.
 fn drawn(folder: &TempDir, name: &str, source: &str, further: &[&str]) -> PathBuf {
     let path = folder.path().join(name);
     let status = Command::new("ffmpeg")
@@ -267,7 +267,7 @@ fn drawn(folder: &TempDir, name: &str, source: &str, further: &[&str]) -> PathBu
 }
 
 #[test]
-fn undeclared_colours_are_those_of_hd_from_720_lines_on() {
+fn undeclared_colours_are_hd_colours_from_720_lines() {
     let folder = TempDir::new().expect("folder");
     let colour = "color=0x1A991A:rate=10:duration=0.5:size=";
     let cases = [
@@ -294,11 +294,11 @@ fn undeclared_colours_are_those_of_hd_from_720_lines_on() {
     }
 }
 
-/// Upright stripes that move by 6 px from field to field.
+/// Vertical stripes that move by 6 px from field to field.
 const STRIPES: &str = "nullsrc=size=160x128:rate=50:duration=1.2,\
     geq=lum='128+100*sin((X+6*N)/5)':cb=128:cr=128";
 
-/// How much more rows differ from their neighbours than from the rows behind these, levels.
+/// How much more rows differ from their neighbours than from the rows beyond, levels.
 fn comb(image: &Image<Srgb>) -> f32 {
     let (width, height) = (image.width(), image.height());
     let row = |y: usize| &image.plane(1)[y * width..(y + 1) * width];
@@ -309,7 +309,7 @@ fn comb(image: &Image<Srgb>) -> f32 {
     255.0 * (apart(1) - apart(2)) / ((height - 2) * width) as f32
 }
 
-/// The most combed photograph, and what is said of the video.
+/// The most combed photograph, and the warning about the video.
 fn combed(command: &[OsString], video: &Path) -> Result<(f32, String), VideoError> {
     let into = video.with_extension("frames");
     let taken = take_frames(command, video, &wanted(4, &into), &CancelToken::new())?;
@@ -329,7 +329,7 @@ fn transposed(image: &Image<Srgb>) -> Image<Srgb> {
 }
 
 #[test]
-fn interlaced_video_is_deinterlaced_declared_or_not() {
+fn interlaced_video_is_deinterlaced_even_if_undeclared() {
     let folder = TempDir::new().expect("folder");
     let fields = ["-flags", "+ilme+ildct"];
     let cases: [(&str, &str, &[&str], bool); 5] = [
@@ -342,9 +342,9 @@ fn interlaced_video_is_deinterlaced_declared_or_not() {
     for (name, filter, flags, is_interlaced) in cases {
         let further: Vec<&str> = ["-vf", filter].iter().chain(flags).copied().collect();
         let video = drawn(&folder, name, STRIPES, &further);
-        let (worst, told) = combed(&ffmpeg(), &video).expect("frames");
+        let (worst, warning) = combed(&ffmpeg(), &video).expect("frames");
         assert!(worst < 1.0, "{name}: {worst}");
-        assert_eq!(told.contains("interlaced and was deinterlaced"), is_interlaced, "{told}");
+        assert_eq!(warning.contains("interlaced and was deinterlaced"), is_interlaced, "{warning}");
     }
 }
 
@@ -353,7 +353,7 @@ fn interlaced_video_held_upright_is_deinterlaced_by_its_stored_rows() {
     let folder = TempDir::new().expect("folder");
     let further = ["-vf", "interlace=scan=tff:lowpass=0", "-flags", "+ilme+ildct"];
     let mut bytes = fs::read(drawn(&folder, "lying.mp4", STRIPES, &further)).expect("read");
-    // The matrix of the track: a quarter of a turn. It follows 40 bytes behind the version of tkhd.
+    // The track's matrix: a quarter turn. It follows 40 bytes after the version of tkhd.
     let at = bytes.windows(4).position(|window| window == b"tkhd").expect("a track") + 4 + 40;
     let matrix: [i32; 9] = [0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30];
     for (number, value) in matrix.into_iter().enumerate() {
@@ -361,16 +361,16 @@ fn interlaced_video_held_upright_is_deinterlaced_by_its_stored_rows() {
     }
     let video = folder.path().join("upright.mp4");
     fs::write(&video, bytes).expect("written");
-    let (worst, told) = combed(&ffmpeg(), &video).expect("frames");
+    let (worst, warning) = combed(&ffmpeg(), &video).expect("frames");
     assert!(worst < 1.0, "{worst}");
-    assert!(told.contains("deinterlaced"), "{told}");
+    assert!(warning.contains("deinterlaced"), "{warning}");
     let file = fs::read_dir(video.with_extension("frames")).expect("read").next();
     let image = Image::<Srgb>::load(&file.expect("one").expect("read").path()).expect("read");
     assert_eq!((image.width(), image.height()), (128, 160));
 }
 
 #[test]
-fn an_ffmpeg_without_filters_for_fields_says_so() {
+fn an_ffmpeg_without_deinterlacing_filters_is_reported() {
     let folder = TempDir::new().expect("folder");
     let further = ["-vf", "interlace=scan=tff:lowpass=0", "-flags", "+ilme+ildct"];
     let video = drawn(&folder, "fields.mp4", STRIPES, &further);
@@ -380,14 +380,14 @@ fn an_ffmpeg_without_filters_for_fields_says_so() {
         );
         ["sh", "-c", &script, "sh"].map(OsString::from)
     };
-    let (worst, told) = combed(&without("*bwdif*"), &video).expect("yadif is there");
-    assert!(worst < 1.0 && told.contains("deinterlaced"), "{worst}: {told}");
+    let (worst, warning) = combed(&without("*bwdif*"), &video).expect("yadif is there");
+    assert!(worst < 1.0 && warning.contains("deinterlaced"), "{worst}: {warning}");
     let error = combed(&without("*bwdif*|*yadif*"), &video).expect_err("neither");
     assert!(matches!(error, VideoError::Interlaced), "{error}");
     assert!(error.hint().contains("deinterlace"), "{}", error.hint());
 }
 
-/// A box of MP4.
+/// An MP4 box.
 fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
     let length = (content.len() + 8) as u32;
     [&length.to_be_bytes(), kind.as_slice(), content].concat()
@@ -409,11 +409,11 @@ fn appended(mut bytes: Vec<u8>, path: &[&[u8; 4]], addition: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn a_video_of_all_directions_is_refused_by_name() {
+fn a_panoramic_video_is_refused_by_name() {
     let folder = TempDir::new().expect("folder");
     let flat = fs::read(drawn(&folder, "flat.mp4", "testsrc2=size=128x64:duration=1", &[]));
     let flat = flat.expect("read");
-    // As YouTube describes them: Spherical Video, version 2 and 1.
+    // As YouTube describes them: Spherical Video, versions 2 and 1.
     let head = boxed(b"svhd", b"\0\0\0\0camera\0");
     let projection = [boxed(b"prhd", &[0; 16]), boxed(b"equi", &[0; 20])].concat();
     let second = boxed(b"sv3d", &[head, boxed(b"proj", &projection)].concat());
@@ -441,7 +441,7 @@ fn a_video_of_all_directions_is_refused_by_name() {
         );
         assert!(error.hint().contains("flat (reframed) views"), "{}", error.hint());
     }
-    // Twice as wide as high alone says nothing.
+    // Being twice as wide as high is not evidence on its own.
     let path = folder.path().join("flat.mp4");
     taken(&path, 3, &folder.path().join("out")).expect("frames");
 }

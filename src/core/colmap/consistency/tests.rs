@@ -1,4 +1,4 @@
-//! Models that are right, and models that took one side of a scene for the other.
+//! Correct models, and models that confused two sides of a scene.
 
 use glam::DMat4;
 use rand::{RngExt, SeedableRng};
@@ -12,7 +12,7 @@ use crate::poses::model::{ModelCamera, ModelImage};
 const INTRINSICS: Intrinsics =
     Intrinsics { width: 560, height: 420, fx: 500.0, fy: 500.0, cx: 280.0, cy: 210.0 };
 
-/// Cameras once around a cloud of points.
+/// Cameras in a full circle around a cloud of points.
 fn ring(count: usize) -> Vec<Camera> {
     let camera = |index: usize| {
         let angle = std::f64::consts::TAU * index as f64 / count as f64;
@@ -46,7 +46,7 @@ fn model(cameras: &[Camera], share: usize) -> SparseModel {
     }
 }
 
-/// Adds `count` matches between two cameras: points that both see from where `cameras` has them.
+/// Adds `count` matches between two cameras: points visible from both positions in `cameras`.
 fn see(found: &mut Correspondences, cameras: &[Camera], pair: (usize, usize), count: usize) {
     let mut rng = Pcg64Mcg::seed_from_u64((pair.0 * 100 + pair.1) as u64);
     let mut matches = Vec::new();
@@ -65,7 +65,7 @@ fn see(found: &mut Correspondences, cameras: &[Camera], pair: (usize, usize), co
     found.pairs.push(PairMatches { first: pair.0, second: pair.1, matches });
 }
 
-/// Neighbours on the ring with many matches, those beyond them with fewer.
+/// Neighbours on the ring with many matches, the next ones with fewer.
 fn neighbours(cameras: &[Camera]) -> Correspondences {
     let count = cameras.len();
     let mut found = Correspondences { key_points: vec![Vec::new(); count], pairs: Vec::new() };
@@ -79,7 +79,7 @@ fn neighbours(cameras: &[Camera]) -> Correspondences {
     found
 }
 
-/// The cameras from `from` on where the other side of the ring has them.
+/// The cameras from `from` on, moved to the other side of the ring.
 fn on_the_wrong_side(cameras: &[Camera], from: usize) -> Vec<Camera> {
     let half = DMat4::from_rotation_y(std::f64::consts::PI);
     let turned = |(index, camera): (usize, &Camera)| match index >= from {
@@ -90,7 +90,7 @@ fn on_the_wrong_side(cameras: &[Camera], from: usize) -> Vec<Camera> {
 }
 
 #[test]
-fn a_true_model_is_believed_whole_at_any_size_of_its_copies() {
+fn a_true_model_is_fully_trusted_at_any_size_of_its_copies() {
     let cameras = ring(12);
     let found = neighbours(&cameras);
     for share in [1, 3] {
@@ -105,7 +105,7 @@ fn a_true_model_is_believed_whole_at_any_size_of_its_copies() {
     }
 }
 
-/// True matches, and between places that look alike some that fit the wrong places only.
+/// True matches, and matches between similar places that fit only the wrong poses.
 fn misled(cameras: &[Camera], wrong: &[Camera]) -> Correspondences {
     let mut found = neighbours(cameras);
     see(&mut found, wrong, (1, 9), 120);
@@ -114,7 +114,7 @@ fn misled(cameras: &[Camera], wrong: &[Camera]) -> Correspondences {
 }
 
 #[test]
-fn what_was_placed_on_the_wrong_side_is_not_believed() {
+fn photographs_placed_on_the_wrong_side_are_not_trusted() {
     let cameras = ring(12);
     let wrong = on_the_wrong_side(&cameras, 8);
     let found = misled(&cameras, &wrong);
@@ -124,7 +124,7 @@ fn what_was_placed_on_the_wrong_side_is_not_believed() {
 }
 
 #[test]
-fn what_does_not_fit_a_true_model_is_left_out_to_place_more_exactly() {
+fn matches_that_do_not_fit_a_true_model_are_left_out() {
     let cameras = ring(12);
     let found = misled(&cameras, &on_the_wrong_side(&cameras, 8));
     let (model, small) = (model(&cameras, 1), copies(12, 1));
@@ -136,19 +136,19 @@ fn what_does_not_fit_a_true_model_is_left_out_to_place_more_exactly() {
 }
 
 #[test]
-fn of_photographs_that_are_not_believed_the_strongest_pairs_stay() {
+fn the_strongest_pairs_of_untrusted_photographs_stay() {
     let cameras = ring(12);
     let wrong = on_the_wrong_side(&cameras, 8);
     let found = misled(&cameras, &wrong);
     let strongest = neighbours(&cameras);
     let (model, small) = (model(&wrong, 1), copies(12, 1));
     let consistency = Consistency::of(&model, &small, &small, &found);
-    // The pairs across to the wrong side fit the model, but not both of a pair are believed.
+    // The pairs across to the wrong side fit the model, but not both of a pair are trusted.
     assert_eq!(consistency.agreeing(&found, &strongest).pairs, strongest.pairs);
 }
 
 #[test]
-fn a_photograph_that_hardly_matches_any_other_is_not_believed() {
+fn a_photograph_that_hardly_matches_any_other_is_not_trusted() {
     let cameras = ring(6);
     let mut found = neighbours(&cameras);
     found.pairs.retain(|pair| pair.second != 5);
@@ -159,7 +159,7 @@ fn a_photograph_that_hardly_matches_any_other_is_not_believed() {
 }
 
 #[test]
-fn photographs_without_a_place_are_in_no_part() {
+fn photographs_without_a_pose_are_in_no_part() {
     let cameras = ring(6);
     let found = neighbours(&cameras);
     let mut model = model(&cameras, 1);

@@ -1,4 +1,4 @@
-//! The real COLMAP on real photographs, where both are there.
+//! The real COLMAP on real photographs, if both are available.
 
 use super::*;
 use crate::capture::Capture;
@@ -6,15 +6,16 @@ use crate::pipeline::poses::pose_view;
 use crate::poses::align;
 use crate::poses::model::SparseModel;
 
-/// COLMAP is random: on another machine a good build of ours has lost a photograph of sceaux.
-/// A fault of ours fails every time.
+/// COLMAP is random: on another machine a good build has lost a photograph of sceaux. A real fault
+/// fails every time.
 const ATTEMPTS: usize = 3;
 
 fn stem(file: &Path) -> String {
     file.file_stem().unwrap().to_str().unwrap().to_owned()
 }
 
-/// Whether an early strategy places every photograph within 1 % of the sharp set's, or why not.
+/// Whether an early strategy places every photograph within 1 % of the sharp set's pose, or the
+/// reason if not.
 fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
     let work = tempfile::tempdir().unwrap();
     let request = PoseRequest { views, work_dir: work.path(), seed: 0 };
@@ -70,12 +71,12 @@ fn register(name: &str) {
 }
 
 #[test]
-fn fox_registers_every_photograph_where_the_sharp_set_has_it() {
+fn fox_registers_every_photograph_at_the_sharp_sets_pose() {
     register("fox");
 }
 
 #[test]
 #[ignore = "make test-nightly"]
-fn sceaux_registers_every_photograph_where_the_sharp_set_has_it() {
+fn sceaux_registers_every_photograph_at_the_sharp_sets_pose() {
     register("sceaux");
 }

@@ -1,8 +1,8 @@
-//! COLMAP that never ends, or is not to end.
+//! COLMAP that never exits, or is cancelled.
 
 use super::*;
 
-/// A child and a grandchild that both sleep, their process ids in files.
+/// A child and a grandchild that both sleep, with their process ids in files.
 const HANG: &str = r#"
 if [ $command = feature_extractor ]; then
   here=$(dirname "$0"); sleep 600 & echo $! > "$here/grandchild"; echo $$ > "$here/child"; wait
@@ -11,7 +11,7 @@ fi; exit 0"#;
 fn alive(pid_file: &Path) -> bool {
     let pid = std::fs::read_to_string(pid_file).unwrap();
     let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
-    // A zombie that its new parent has not reaped yet is dead.
+    // A zombie that its new parent has not reaped yet counts as dead.
     !stat.is_empty() && !stat.contains(") Z ")
 }
 
@@ -28,7 +28,7 @@ fn assert_nothing_left(scene: &Scene) {
 
 #[test]
 #[should_panic(expected = "the child lives on")]
-fn a_process_that_lives_on_is_noticed() {
+fn a_surviving_process_is_detected() {
     let scene = Scene::new(5, "");
     std::fs::write(scene.dir.path().join("child"), std::process::id().to_string()).unwrap();
     assert_nothing_left(&scene);
@@ -47,7 +47,7 @@ fn a_hang_ends_in_a_timeout_that_leaves_no_process_behind() {
 }
 
 #[test]
-fn endless_output_meets_the_wall_limit_and_a_bounded_log() {
+fn endless_output_hits_the_wall_limit_and_a_bounded_log() {
     let scene = Scene::new(
         5,
         "[ $command = feature_extractor ] && exec yes 'a line that says nothing'; exit 0",
@@ -59,7 +59,7 @@ fn endless_output_meets_the_wall_limit_and_a_bounded_log() {
 }
 
 #[test]
-fn a_cancel_is_obeyed_within_a_second_and_leaves_no_process_behind() {
+fn a_cancellation_takes_effect_within_a_second_and_leaves_no_process() {
     let scene = Scene::new(5, HANG);
     let cancel = CancelToken::new();
     let token = cancel.clone();

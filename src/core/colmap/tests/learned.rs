@@ -1,4 +1,4 @@
-//! Key points and matches that somebody else finds.
+//! Key points and matches supplied from outside COLMAP.
 
 use glam::{DMat4, DQuat, DVec3};
 
@@ -7,21 +7,21 @@ use crate::poses::PoseStatus;
 use crate::poses::align::Similarity;
 use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 
-/// A script whose mapper places every photograph, but by COLMAP's own features none.
+/// A script whose mapper places every photograph, but none by COLMAP's own features.
 const PLACES_ALL: &str = r#"
 case "$out" in *sparse-[A-E]) exit 0;; esac
 if [ "$command" = mapper ]; then model "$out/0" 10 10; fi; exit 0"#;
 
-/// A script whose mapper places every photograph, whatever it is given.
+/// A script whose mapper places every photograph, whatever its input.
 const PLACES_ALWAYS: &str = r#"
 if [ "$command" = mapper ]; then model "$out/0" 10 10; fi; exit 0"#;
 
-/// Matches between neighbours, forty each; the stand-in's cameras lie side by side, so what is
-/// matched on one row fits them.
+/// Forty matches between each pair of neighbours; the stub's cameras are side by side, so matches
+/// on one row fit them.
 struct Neighbours {
-    /// Photographs whose matches lie on other rows.
+    /// Photographs whose matches are on other rows.
     contradicting: Vec<usize>,
-    /// A photograph without matches with the next one.
+    /// A photograph without matches to the next one.
     last_of_a_place: Option<usize>,
 }
 
@@ -62,7 +62,7 @@ impl Matching for Neighbours {
     }
 }
 
-/// Networks that do not run.
+/// Networks that fail.
 struct Broken;
 
 impl Matching for Broken {
@@ -86,7 +86,7 @@ fn statuses(poses: &Poses) -> Vec<PoseStatus> {
 }
 
 #[test]
-fn learned_matches_come_first_and_their_model_is_believed() {
+fn learned_matches_come_first_and_their_model_is_trusted() {
     let scene = Scene::new(10, PLACES_ALL);
     let matching = Neighbours { contradicting: Vec::new(), last_of_a_place: None };
     let tool = scene.tool().with_matching(Arc::new(matching));
@@ -122,13 +122,13 @@ fn a_place_that_stronger_matches_contradict_is_left_out_by_name() {
     assert_eq!((poses.registered, poses.total), (9, 10));
     assert!(poses.views.iter().all(|view| view.name != "view9"));
     assert_eq!(statuses(&poses)[8..], [PoseStatus::Registered, PoseStatus::Doubtful]);
-    // The stand-in's points are seen by all.
+    // All photographs see the stub's points.
     assert!(poses.points.iter().all(|point| point.track == 9));
     assert!(!poses.low_confidence, "nine of ten are enough");
 }
 
 #[test]
-fn where_most_places_are_contradicted_no_model_is_trusted() {
+fn a_model_with_mostly_contradicted_places_is_not_trusted() {
     let scene = Scene::new(10, PLACES_ALL);
     let matching =
         Neighbours { contradicting: (3..10).step_by(2).collect(), last_of_a_place: None };
@@ -138,8 +138,8 @@ fn where_most_places_are_contradicted_no_model_is_trusted() {
 }
 
 #[test]
-fn of_two_models_that_are_as_whole_the_more_exact_one_is_taken() {
-    // As exact: COLMAP's own points are finer.
+fn of_two_equally_complete_models_the_more_precise_one_is_used() {
+    // Equal precision: COLMAP's own points are finer.
     let scene = Scene::new(10, PLACES_ALWAYS);
     let matching = || Neighbours { contradicting: Vec::new(), last_of_a_place: None };
     let strategy = |scene: &Scene| {
@@ -156,7 +156,7 @@ fi; exit 0"#;
 }
 
 #[test]
-fn networks_that_fail_are_told_and_colmaps_own_features_used() {
+fn failing_networks_are_reported_and_colmaps_own_features_used() {
     let scene = Scene::new(10, PLACES_ALWAYS);
     let tool = scene.tool().with_matching(Arc::new(Broken));
     let mut codes = Vec::new();
@@ -172,7 +172,7 @@ fn networks_that_fail_are_told_and_colmaps_own_features_used() {
 }
 
 #[test]
-fn a_capture_of_two_places_names_what_hangs_together() {
+fn a_capture_of_two_places_names_the_connected_photographs() {
     let scene = Scene::new(10, PLACES_ALL);
     let two = |last_of_a_place| {
         let matching =
@@ -186,12 +186,12 @@ fn a_capture_of_two_places_names_what_hangs_together() {
         of.map(|index| format!("view{index}")).collect()
     };
     assert_eq!(poses.parts, [names(0..6), names(6..10)]);
-    // One photograph that matches no other is no second place.
+    // One photograph that matches no other is not a second place.
     assert!(two(8).unwrap().parts.is_empty());
 }
 
 #[test]
-fn parts_too_small_for_a_scene_are_told_in_the_error() {
+fn parts_too_small_for_a_scene_are_named_in_the_error() {
     let scene = Scene::new(
         10,
         r#"
@@ -207,7 +207,7 @@ if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
     assert!(advice.contains("5 (view0, view1, view2, view3, view4)"), "{advice}");
 }
 
-/// The stand-in's cameras in a world of twice the size that is turned, those of `off` elsewhere.
+/// The stub's cameras in a rotated world of twice the size, with those of `off` misplaced.
 fn given(scene: &Scene, off: &[usize]) -> Vec<PosedView> {
     let world = Similarity {
         scale: 2.0,
@@ -251,7 +251,7 @@ fn given_poses_that_the_matches_contradict_are_refined_in_their_own_world() {
     let scene = Scene::new(10, PLACES_ALL);
     let mut rough = given(&scene, &[2, 7]);
     let truth = given(&scene, &[]);
-    // One was not given at all.
+    // One had no given pose.
     rough.remove(4);
     let poses = refined(&scene, &rough).unwrap().expect("better ones");
     assert_eq!((poses.registered, &*poses.source), (10, "given, refined by colmap 3.8"));
@@ -268,7 +268,7 @@ fn given_poses_that_the_matches_contradict_are_refined_in_their_own_world() {
 }
 
 #[test]
-fn a_view_that_is_placed_nowhere_keeps_its_given_pose_and_that_is_told() {
+fn a_view_without_a_found_pose_keeps_and_reports_its_given_pose() {
     let scene = Scene::new(10, PLACES_ALL);
     let rough = given(&scene, &[2, 7]);
     let lost = Neighbours { contradicting: vec![9], last_of_a_place: None };
@@ -280,19 +280,19 @@ fn a_view_that_is_placed_nowhere_keeps_its_given_pose_and_that_is_told() {
 }
 
 #[test]
-fn given_poses_that_fit_as_well_stand_and_so_do_those_nobody_can_check() {
+fn given_poses_are_kept_if_they_fit_as_well_or_cannot_be_checked() {
     let scene = Scene::new(10, PLACES_ALL);
     assert_eq!(refined(&scene, &given(&scene, &[])).unwrap(), None);
     let rough = given(&scene, &[2, 7]);
     let nothing = Scene::new(10, "exit 0");
-    let mut told = Vec::new();
+    let mut codes = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::Warning { code, .. } = event {
-            told.push(code.clone());
+            codes.push(code.clone());
         }
     };
     let found = refined_by(&nothing, &rough, in_order(), &mut sink).unwrap();
-    assert_eq!((found, &*told), (None, &["poses_unrefined".to_owned()][..]));
+    assert_eq!((found, &*codes), (None, &["poses_unrefined".to_owned()][..]));
     let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
     let without = scene.tool().refine(&request, &rough, &mut Silent, &CancelToken::new());
     assert_eq!(without.unwrap(), None, "no networks");

@@ -1,11 +1,11 @@
-//! What is taken as it is, with a warning.
+//! Poses that are used unchanged, with a warning.
 
 use serde_json::{Value, json};
 
-use super::formats::{CAMERAS, images, said};
+use super::formats::{CAMERAS, expect_warning, images};
 use super::{Capture, capture};
 
-/// The warnings about poses that `edit` makes of good ones.
+/// The warnings about good poses changed by `edit`.
 fn warnings(capture: &Capture, edit: &Value) -> Vec<String> {
     let (poses, warnings) = capture.of_json(|json| {
         let fields = edit.as_object().unwrap().clone();
@@ -16,7 +16,7 @@ fn warnings(capture: &Capture, edit: &Value) -> Vec<String> {
 }
 
 #[test]
-fn lenses_that_no_camera_has_are_told_with_their_numbers() {
+fn impossible_lenses_are_reported_with_their_values() {
     let capture = capture();
     for (edit, words) in [
         (json!({ "fl_x": 4.25 }), "focal length of 2.1250 px"),
@@ -28,7 +28,7 @@ fn lenses_that_no_camera_has_are_told_with_their_numbers() {
         (json!({ "k1": 900.0 }), "distortion that leaves"),
     ] {
         let warnings = warnings(&capture, &edit);
-        said(&warnings, &["transforms.json: photo0.png, photo1.png", words]);
+        expect_warning(&warnings, &["transforms.json: photo0.png, photo1.png", words]);
     }
     for good in [
         json!({ "fl_x": 20.0 }),
@@ -43,7 +43,7 @@ fn lenses_that_no_camera_has_are_told_with_their_numbers() {
 }
 
 #[test]
-fn a_pose_of_nearly_the_same_size_is_told_with_both_sizes() {
+fn a_pose_of_nearly_the_same_size_is_reported_with_both_sizes() {
     let capture = capture();
     for (width, height, is_told) in [
         (80, 60, false),
@@ -56,14 +56,14 @@ fn a_pose_of_nearly_the_same_size_is_told_with_both_sizes() {
         let edit = json!({ "w": width, "h": height, "fl_x": 0.875 * f64::from(width) });
         let warnings = warnings(&capture, &edit);
         match is_told {
-            true => said(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
+            true => expect_warning(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
             false => assert_eq!(warnings, [""; 0], "{width} x {height}"),
         }
     }
 }
 
 #[test]
-fn a_view_that_sees_no_point_is_told_by_name() {
+fn a_view_without_visible_points_is_reported_by_name() {
     let capture = capture();
     let folder = capture.dir.path().join("sparse/0");
     std::fs::create_dir_all(&folder).unwrap();
@@ -74,8 +74,8 @@ fn a_view_that_sees_no_point_is_told_by_name() {
     let points: String = (0..64).map(point).collect();
     std::fs::write(folder.join("points3D.txt"), points).unwrap();
     capture.assert_plain(capture.of_model(CAMERAS, &images(&capture, None, "\n")));
-    // It looks away from them.
+    // It faces away from them.
     let images = images(&capture, Some("1 0 0 0 0 0 -9"), "\n");
     let warnings = capture.of_model(CAMERAS, &images).1;
-    said(&warnings, &["sparse/0: photo1.png: none of the points"]);
+    expect_warning(&warnings, &["sparse/0: photo1.png: none of the points"]);
 }

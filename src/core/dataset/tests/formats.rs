@@ -1,15 +1,15 @@
-//! What other programs write into the formats, and what must come of it.
+//! The formats as other programs write them, and the expected results.
 
 use glam::DVec2;
 use serde_json::{Value, json};
 
 use super::super::*;
-use super::{Capture, capture, flipped, told};
+use super::{Capture, capture, flipped, poses_and_warnings};
 use crate::poses::Distortion;
 use crate::poses::model::{ModelCamera, ModelImage};
 use crate::poses::npy::Table;
 
-/// A `transforms.json` of the capture's cameras, changed by `edit`.
+/// A `transforms.json` with the capture's cameras, changed by `edit`.
 fn transforms(capture: &Capture, edit: impl Fn(&mut Value)) -> Value {
     let frame = |(i, camera): (usize, &Camera)| {
         json!({
@@ -24,7 +24,7 @@ fn transforms(capture: &Capture, edit: impl Fn(&mut Value)) -> Value {
 }
 
 impl Capture {
-    /// What a file of this content gives.
+    /// The result for a file with this content.
     fn of(
         &self,
         name: &str,
@@ -33,7 +33,7 @@ impl Capture {
         let file = self.dir.path().join(name);
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(&file, content).unwrap();
-        told(&file, &self.views, self.dir.path())
+        poses_and_warnings(&file, &self.views, self.dir.path())
     }
 
     pub(super) fn of_json(
@@ -43,14 +43,14 @@ impl Capture {
         self.of("transforms.json", transforms(self, edit).to_string())
     }
 
-    /// The file's poses, which must be the capture's and come without a word.
-    pub(super) fn assert_plain(&self, told: (Result<Poses, PosesError>, Vec<String>)) {
-        assert_eq!(told.1, [""; 0]);
-        self.assert_right(&told.0.unwrap());
+    /// Asserts that the poses are the capture's, without warnings.
+    pub(super) fn assert_plain(&self, result: (Result<Poses, PosesError>, Vec<String>)) {
+        assert_eq!(result.1, [""; 0]);
+        self.assert_right(&result.0.unwrap());
     }
 }
 
-pub(super) fn said(warnings: &[String], words: &[&str]) {
+pub(super) fn expect_warning(warnings: &[String], words: &[&str]) {
     let has_all = |warning: &String| words.iter().all(|word| warning.contains(word));
     assert!(warnings.iter().any(has_all), "{words:?} in {warnings:?}");
 }
@@ -95,12 +95,12 @@ fn scaled_and_rounded_rotations_become_rotations_with_a_warning() {
             assert!((rotation.determinant() - 1.0).abs() < 1e-12);
             assert!(view.camera.centre().distance(camera.centre()) < 1e-9);
         }
-        said(&warnings, &["transforms.json", "transform_matrix", "images/photo0.png"]);
+        expect_warning(&warnings, &["transforms.json", "transform_matrix", "images/photo0.png"]);
     }
 }
 
 #[test]
-fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
+fn an_unusable_frame_is_left_out_with_its_name_and_field() {
     let capture = capture();
     type Case = (&'static str, fn(&mut Value), &'static str);
     let cases: [Case; 7] = [
@@ -123,17 +123,17 @@ fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
     for (field, spoil, words) in cases {
         let (poses, warnings) = capture.of_json(|json| spoil(&mut json["frames"][2]));
         assert_eq!(poses.unwrap().views.len(), 3, "{field}");
-        said(&warnings, &["images/photo2.png: ", &format!("`{field}`"), words]);
+        expect_warning(&warnings, &["images/photo2.png: ", &format!("`{field}`"), words]);
     }
     let (poses, warnings) = capture.of_json(|json| {
         json["frames"][1].as_object_mut().unwrap().remove("file_path");
     });
     assert_eq!(poses.unwrap().views.len(), 3);
-    said(&warnings, &["frame 1", "file_path"]);
+    expect_warning(&warnings, &["frame 1", "file_path"]);
 }
 
 #[test]
-fn what_python_writes_for_no_number_costs_its_frame_alone() {
+fn a_python_nan_or_infinity_affects_only_its_frame() {
     let capture = capture();
     let text = transforms(&capture, |json| {
         json["frames"][1]["transform_matrix"][1][3] = json!("HERE");
@@ -144,12 +144,12 @@ fn what_python_writes_for_no_number_costs_its_frame_alone() {
         let (poses, warnings) = capture.of("transforms.json", text);
         let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
-        said(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
+        expect_warning(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
     }
 }
 
 #[test]
-fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
+fn a_fault_of_all_frames_is_an_error_that_names_it() {
     let capture = capture();
     for (edit, words) in [
         (json!({ "camera_model": "EQUIRECTANGULAR" }), "`camera_model` is EQUIRECTANGULAR"),
@@ -186,7 +186,7 @@ fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
 }
 
 #[test]
-fn broken_json_is_placed_by_its_frame() {
+fn broken_json_is_located_by_its_frame() {
     let capture = capture();
     let text = transforms(&capture, |_| ()).to_string();
     let cut = text.rfind("transform_matrix").unwrap();
@@ -218,7 +218,7 @@ fn each_frame_has_its_own_camera_model() {
         tangential: [0.0; 2],
     };
     let fisheye = |k1| Distortion::Fisheye { radial: [k1, 0.0, 0.0, 0.0] };
-    // A perspective's term is none of a fisheye, and a frame's own terms stand together.
+    // A perspective term does not apply to a fisheye, and a frame's own terms replace the file's.
     let expected = [perspective(-0.05, 0.0), fisheye(0.0), fisheye(0.03), perspective(0.0, 0.01)];
     assert_eq!(found, expected);
 }
@@ -240,7 +240,7 @@ fn k4_is_the_fourth_term_of_a_polynomial_or_of_the_angle_or_opencvs() {
 }
 
 #[test]
-fn angles_are_of_width_and_height() {
+fn angles_apply_to_width_and_height() {
     let capture = capture();
     let focal = |edit: Value| {
         let (poses, _) = capture.of_json(|json| {
@@ -266,7 +266,7 @@ fn angles_are_of_width_and_height() {
 }
 
 #[test]
-fn files_of_splits_are_read_together_and_the_test_is_held_out() {
+fn split_files_are_read_together_and_the_test_split_is_held_out() {
     let capture = capture();
     let all = transforms(&capture, |_| ());
     let part = |frames: &[usize]| {
@@ -304,7 +304,7 @@ fn a_frame_of_two_splits_trains() {
 }
 
 #[test]
-fn pixels_of_the_file_grow_with_a_frame_of_another_size() {
+fn file_pixels_scale_with_a_frame_of_another_size() {
     let capture = capture();
     capture.assert_plain(capture.of_json(|json| {
         json["cx"] = json!(40.0);
@@ -317,7 +317,7 @@ fn pixels_of_the_file_grow_with_a_frame_of_another_size() {
 }
 
 #[test]
-fn axes_of_mitsuba_and_opencv_are_read_where_a_file_says_so() {
+fn mitsuba_and_opencv_axes_are_read_if_a_file_declares_them() {
     let capture = capture();
     for (key, value, signs) in [
         ("from_na", json!(true), [1.0, -1.0, -1.0]),
@@ -338,7 +338,7 @@ fn axes_of_mitsuba_and_opencv_are_read_where_a_file_says_so() {
 }
 
 #[test]
-fn the_matrix_of_neus2_tells_focal_lengths_and_principal_point() {
+fn the_neus2_matrix_gives_focal_lengths_and_principal_point() {
     let capture = capture();
     let matrix = json!([[70.0, 0.0, 40.0, 0.0], [0.0, 70.0, 30.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
     let with = |matrix: &Value| {
@@ -355,7 +355,7 @@ fn the_matrix_of_neus2_tells_focal_lengths_and_principal_point() {
 }
 
 #[test]
-fn nerfstudios_list_of_terms_is_that_of_their_names() {
+fn nerfstudios_list_of_terms_equals_the_named_terms() {
     let capture = capture();
     let distortion = |edit: Value| {
         let (poses, _) = capture.of_json(|json| {
@@ -371,7 +371,7 @@ fn nerfstudios_list_of_terms_is_that_of_their_names() {
 }
 
 #[test]
-fn names_may_hold_dots_and_lack_an_extension() {
+fn names_may_contain_dots_and_lack_an_extension() {
     let capture = capture();
     let dotted = capture.views.iter().enumerate().map(|(i, view)| {
         let file = view.file.with_file_name(format!("scan.{i}.png"));
@@ -392,11 +392,11 @@ fn names_may_hold_dots_and_lack_an_extension() {
         });
         let file = capture.dir.path().join("transforms.json");
         std::fs::write(&file, json.to_string()).unwrap();
-        capture.assert_right(&told(&file, &views, capture.dir.path()).0.unwrap());
+        capture.assert_right(&poses_and_warnings(&file, &views, capture.dir.path()).0.unwrap());
     }
 }
 
-/// A text model of the capture, its second image with another quaternion and translation.
+/// A text model of the capture, with another quaternion and translation for its second image.
 pub(super) fn images(capture: &Capture, second: Option<&str>, keypoints: &str) -> String {
     let line = |(i, camera): (usize, &Camera)| {
         let image = ModelImage::posed(i as u32 + 1, 1, "", camera);
@@ -419,7 +419,7 @@ impl Capture {
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("cameras.txt"), cameras).unwrap();
         std::fs::write(folder.join("images.txt"), images).unwrap();
-        told(&folder, &self.views, self.dir.path())
+        poses_and_warnings(&folder, &self.views, self.dir.path())
     }
 }
 
@@ -445,7 +445,7 @@ fn images_with_nan_are_left_out_by_name() {
         let (poses, warnings) = capture.of_model(CAMERAS, &images);
         let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
         assert_eq!(names, ["photo0", "photo2", "photo3"]);
-        said(&warnings, &["sparse/0", "photo1.png"]);
+        expect_warning(&warnings, &["sparse/0", "photo1.png"]);
     }
     let (poses, _) =
         capture.of_model("1 PINHOLE 80 60 nan 70 40 30\n", &images(&capture, None, ""));
@@ -454,7 +454,7 @@ fn images_with_nan_are_left_out_by_name() {
 }
 
 #[test]
-fn what_stands_where_key_points_are_expected_is_said() {
+fn content_in_place_of_key_points_is_reported() {
     let capture = capture();
     let images = images(&capture, None, "some words here\n");
     let message = capture.of_model(CAMERAS, &images).0.unwrap_err().to_string();
@@ -462,7 +462,7 @@ fn what_stands_where_key_points_are_expected_is_said() {
 }
 
 #[test]
-fn equidistant_fisheyes_of_newer_versions_are_read() {
+fn newer_equidistant_fisheyes_are_read() {
     let capture = capture();
     for camera in ["1 SIMPLE_FISHEYE 80 60 70 40 30\n", "1 FISHEYE 80 60 70 70 40 30\n"] {
         let (poses, _) = capture.of_model(camera, &images(&capture, None, "\n"));
@@ -473,7 +473,7 @@ fn equidistant_fisheyes_of_newer_versions_are_read() {
 }
 
 #[test]
-fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
+fn an_image_with_an_unsupported_camera_is_left_out_by_name() {
     let capture = capture();
     let known = ModelCamera::pinhole(1, &capture.cameras[0].intrinsics);
     let strange = "2 FOV 80 60 70 70 40 30 0.9\n";
@@ -485,8 +485,8 @@ fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
     let [(_, cameras), (_, images), _] = model.text_files();
     let (poses, warnings) = capture.of_model(&format!("{strange}{cameras}"), &images);
     assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
-    said(&warnings, &["photo1.png: camera model FOV is not read"]);
-    // As binary: a row of 4 numbers becomes one of 5.
+    expect_warning(&warnings, &["photo1.png: camera model FOV is not read"]);
+    // In binary form: a row of 4 numbers becomes one of 5.
     let folder = capture.dir.path().join("binary");
     model.cameras = vec![known.clone(), ModelCamera { id: 2, ..known }];
     model.write_binary(&folder).unwrap();
@@ -496,13 +496,13 @@ fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
     bytes[last + 4] = 7;
     bytes.extend(0.9_f64.to_le_bytes());
     std::fs::write(&file, bytes).unwrap();
-    let (poses, warnings) = told(&folder, &capture.views, capture.dir.path());
+    let (poses, warnings) = poses_and_warnings(&folder, &capture.views, capture.dir.path());
     assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
-    said(&warnings, &["photo1.png: camera model FOV is not read"]);
+    expect_warning(&warnings, &["photo1.png: camera model FOV is not read"]);
 }
 
 #[test]
-fn the_pointer_of_git_lfs_is_called_so() {
+fn a_git_lfs_pointer_is_named_as_such() {
     let capture = capture();
     let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
     for (name, file) in [("transforms.json", ""), ("b/cameras.bin", "b"), ("t/cameras.txt", "t")] {
@@ -511,20 +511,20 @@ fn the_pointer_of_git_lfs_is_called_so() {
         std::fs::write(&path, pointer).unwrap();
         std::fs::write(path.with_file_name("images.bin"), pointer).unwrap();
         let file = if file.is_empty() { path } else { capture.dir.path().join(file) };
-        let (poses, _) = told(&file, &capture.views, capture.dir.path());
+        let (poses, _) = poses_and_warnings(&file, &capture.views, capture.dir.path());
         let message = poses.unwrap_err().to_string();
         assert!(message.contains("Git LFS"), "{message}");
     }
 }
 
 #[test]
-fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
+fn poses_bounds_are_read_as_float32_and_without_an_invalid_row() {
     let capture = capture();
     let file = capture.write_bounds();
     let table = Table::parse(&std::fs::read(&file).unwrap()).unwrap();
     let narrow = table.values.iter().flat_map(|v| (*v as f32).to_le_bytes());
     std::fs::write(&file, npy("<f4", "(4, 17)", narrow)).unwrap();
-    let (poses, _) = told(&file, &capture.views, capture.dir.path());
+    let (poses, _) = poses_and_warnings(&file, &capture.views, capture.dir.path());
     for (view, camera) in poses.unwrap().views.iter().zip(&capture.cameras) {
         assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-5));
         assert!((view.lens.intrinsics.fx - 35.0).abs() < 1e-5);
@@ -532,23 +532,23 @@ fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
     let mut spoiled = table;
     spoiled.values[17 + 3] = f64::NAN;
     std::fs::write(&file, spoiled.to_bytes()).unwrap();
-    let (poses, warnings) = told(&file, &capture.views, capture.dir.path());
+    let (poses, warnings) = poses_and_warnings(&file, &capture.views, capture.dir.path());
     let names: Vec<String> = poses.unwrap().views.into_iter().map(|view| view.name).collect();
     assert_eq!(names, ["photo0", "photo2", "photo3"]);
-    said(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
+    expect_warning(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
     for (number, shape, reason) in [
         ("<i8", "(4, 17)", "float64"),
         ("<f8", "(4, 3, 5)", "two dimensions"),
         (">f8", "(4, 17)", "a picture of 0 x 0 px"),
     ] {
         std::fs::write(&file, npy(number, shape, [0; 8 * 4 * 17])).unwrap();
-        let (poses, _) = told(&file, &capture.views, capture.dir.path());
+        let (poses, _) = poses_and_warnings(&file, &capture.views, capture.dir.path());
         let message = poses.unwrap_err().to_string();
         assert!(message.contains(reason), "{message}");
     }
 }
 
-/// A file of NumPy's.
+/// A NumPy file.
 fn npy(number: &str, shape: &str, values: impl IntoIterator<Item = u8>) -> Vec<u8> {
     let header = format!("{{'descr': '{number}', 'fortran_order': False, 'shape': {shape}, }}\n");
     let length = (header.len() as u16).to_le_bytes();
@@ -558,7 +558,7 @@ fn npy(number: &str, shape: &str, values: impl IntoIterator<Item = u8>) -> Vec<u
 }
 
 #[test]
-fn depths_that_cannot_be_cost_no_pose() {
+fn impossible_depths_do_not_discard_a_pose() {
     let capture = capture();
     let file = capture.write_bounds();
     let table = Table::parse(&std::fs::read(&file).unwrap()).unwrap();
@@ -566,6 +566,6 @@ fn depths_that_cannot_be_cost_no_pose() {
         let mut table = table.clone();
         (table.values[17 + 15], table.values[17 + 16]) = (near, far);
         std::fs::write(&file, table.to_bytes()).unwrap();
-        capture.assert_plain(told(&file, &capture.views, capture.dir.path()));
+        capture.assert_plain(poses_and_warnings(&file, &capture.views, capture.dir.path()));
     }
 }

@@ -1,4 +1,4 @@
-//! Poses that were computed on stored pixels, of photographs that EXIF turns upright.
+//! Poses computed on stored pixels, for photographs that EXIF rotates upright.
 
 use exif::{Tag, Value};
 use glam::{DMat4, DVec2, DVec3};
@@ -6,7 +6,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use proptest::prelude::*;
 
 use super::super::*;
-use super::{flipped, told};
+use super::{flipped, poses_and_warnings};
 use crate::camera::Intrinsics;
 use crate::capture::{PREPARED_SIDE, PreparedImage};
 use crate::image::{Image, exif_block};
@@ -14,8 +14,8 @@ use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::{ModelCamera, ModelImage, ModelPoint};
 use crate::poses::{Distortion, Lens};
 
-/// Where a pixel of a stored picture of `size` is in the upright one, by EXIF's table of what the
-/// first row and the first column are.
+/// The position in the upright picture of a pixel of a stored picture of `size`, from EXIF's table
+/// of the meaning of the first row and column.
 fn upright_pixel(orientation: u16, pixel: DVec2, size: DVec2) -> DVec2 {
     let (x, y) = (pixel.x, pixel.y);
     let (from_right, from_below) = (size.x - x, size.y - y);
@@ -32,7 +32,7 @@ fn upright_pixel(orientation: u16, pixel: DVec2, size: DVec2) -> DVec2 {
     }
 }
 
-/// A grey PNG that is to be turned.
+/// A grey PNG with an orientation.
 fn write_png(file: &Path, orientation: u16, (width, height): (usize, usize), samples: &[u8]) {
     let mut bytes = Vec::new();
     let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
@@ -43,20 +43,20 @@ fn write_png(file: &Path, orientation: u16, (width, height): (usize, usize), sam
     std::fs::write(file, bytes).unwrap();
 }
 
-/// Photographs as a camera stored them, and the poses that were computed on them.
+/// Photographs as stored by a camera, with the poses computed on them.
 struct Stored {
     dir: tempfile::TempDir,
     views: Vec<PoseView>,
-    /// The lens of the stored pictures, at the size that the poses were computed at.
+    /// The lens of the stored pictures, at the size for which the poses were computed.
     lens: Lens,
     /// From the world to the stored pictures.
     poses: Vec<DMat4>,
-    /// What they show.
+    /// The visible points.
     points: Vec<DVec3>,
 }
 
 impl Stored {
-    /// Four photographs of `size`; `orientations` are used in turn.
+    /// Four photographs of `size`; `orientations` are used cyclically.
     fn new(lens: Lens, size: (usize, usize), orientations: &[u16]) -> Self {
         let dir = tempfile::tempdir().unwrap();
         let view = |index: usize| {
@@ -158,11 +158,11 @@ impl Stored {
     }
 
     fn read(&self, format: Format) -> (Result<Poses, PosesError>, Vec<String>) {
-        told(&self.write(format), &self.views, self.dir.path())
+        poses_and_warnings(&self.write(format), &self.views, self.dir.path())
     }
 
-    /// How far the points of the poses fall from where they are in the upright photographs of
-    /// `size` before the turn, px at worst.
+    /// Largest distance, px, of the projected points from their positions in the upright
+    /// photographs, which have `size` before the rotation.
     fn error(&self, poses: &Poses, format: Format, size: (usize, usize), orientation: u16) -> f64 {
         let size = DVec2::new(size.0 as f64, size.1 as f64);
         let k = &self.lens.intrinsics;
@@ -195,7 +195,7 @@ fn format() -> impl Strategy<Value = Format> {
     prop_oneof![Just(Format::Model), Just(Format::Transforms), Just(Format::PosesBounds)]
 }
 
-/// A lens that each format can tell, of a picture that is not square.
+/// A lens that each format can represent, for a picture that is not square.
 fn lens(format: Format) -> impl Strategy<Value = Lens> {
     let sides = (60..160usize, 60..160usize).prop_filter("square", |(w, h)| w.abs_diff(*h) > 8);
     let shares = (0.8..1.6f64, 0.9..1.1f64, -0.1..0.1f64, -0.1..0.1f64);
@@ -234,7 +234,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(96))]
 
     #[test]
-    fn points_fall_where_they_are_in_the_upright_photograph(
+    fn points_project_to_their_place_in_the_upright_photograph(
         (format, lens) in format().prop_flat_map(|format| (Just(format), lens(format))),
         orientation in 1..=8u16,
         scale in prop_oneof![Just(1.0), 0.5..2.0f64],
@@ -256,7 +256,7 @@ fn plain() -> Lens {
 }
 
 #[test]
-fn a_dot_of_each_orientation_is_seen_where_its_point_is_projected() {
+fn a_dot_in_each_orientation_is_where_its_point_projects() {
     for orientation in 1..=8 {
         let stored = Stored::new(plain(), (96, 72), &[orientation]);
         let dot = DVec2::new(70.5, 20.5);
@@ -292,7 +292,7 @@ fn camera_is_mirrored(orientation: u16) -> bool {
 }
 
 #[test]
-fn a_turn_by_a_quarter_swaps_focal_lengths_and_moves_the_principal_point() {
+fn a_quarter_turn_swaps_focal_lengths_and_moves_the_principal_point() {
     let stored = Stored::new(plain(), (96, 72), &[6]);
     let (poses, warnings) = stored.read(Format::Model);
     let k = poses.unwrap().views[0].lens.intrinsics;
@@ -302,17 +302,17 @@ fn a_turn_by_a_quarter_swaps_focal_lengths_and_moves_the_principal_point() {
 }
 
 #[test]
-fn what_the_sizes_do_not_tell_is_said() {
+fn an_assumed_rotation_is_reported() {
     for (orientation, is_assumed) in [(1, false), (2, true), (3, true), (4, true), (8, false)] {
         let stored = Stored::new(plain(), (96, 72), &[orientation]);
         let warnings = stored.read(Format::Model).1;
-        let said = warnings.iter().any(|warning| warning.contains("as they are stored"));
-        assert_eq!(said, is_assumed, "{orientation}: {warnings:?}");
+        let warns = warnings.iter().any(|warning| warning.contains("as they are stored"));
+        assert_eq!(warns, is_assumed, "{orientation}: {warnings:?}");
     }
 }
 
 #[test]
-fn poses_of_pictures_that_were_turned_before_are_taken_as_they_are() {
+fn poses_of_pictures_already_rotated_are_used_unchanged() {
     let upright = Stored::new(plain(), (96, 72), &[1]);
     for (view, orientation) in upright.views.iter().zip([6, 8, 5, 7]) {
         write_png(&view.file, orientation, (72, 96), &[90; 96 * 72]);
@@ -327,8 +327,8 @@ fn poses_of_pictures_that_were_turned_before_are_taken_as_they_are() {
 }
 
 #[test]
-fn photographs_of_another_shape_than_their_poses_are_refused_with_both_sizes() {
-    // Cropped, squeezed, turned without EXIF; with EXIF, of neither shape.
+fn photographs_whose_shape_differs_from_their_poses_are_refused_with_both_sizes() {
+    // Cropped, squeezed, rotated without EXIF; with EXIF, matching neither shape.
     for (size, orientation, words) in [
         ((96, 60), 1, "96 x 60"),
         ((48, 72), 1, "48 x 72"),
@@ -351,8 +351,8 @@ fn one_photograph_of_another_shape_is_left_out_by_name() {
     let poses = poses.unwrap();
     let names: Vec<&str> = poses.views.iter().map(|view| &*view.name).collect();
     assert_eq!(names, ["photo0", "photo1", "photo3"]);
-    let said = |warning: &String| warning.contains("photo2.png:") && warning.contains("96 x 64");
-    assert!(warnings.iter().any(said), "{warnings:?}");
+    let warns = |warning: &String| warning.contains("photo2.png:") && warning.contains("96 x 64");
+    assert!(warnings.iter().any(warns), "{warnings:?}");
 }
 
 #[test]
@@ -360,12 +360,12 @@ fn mirrored_photographs_among_others_are_left_out_by_name() {
     let stored = Stored::new(plain(), (96, 72), &[1, 3, 6, 2]);
     let (poses, warnings) = stored.read(Format::Model);
     assert_eq!(poses.unwrap().views.len(), 3);
-    let said = |warning: &String| warning.contains("photo3.png:") && warning.contains("mirrored");
-    assert!(warnings.iter().any(said), "{warnings:?}");
+    let warns = |warning: &String| warning.contains("photo3.png:") && warning.contains("mirrored");
+    assert!(warnings.iter().any(warns), "{warnings:?}");
 }
 
 #[test]
-fn an_error_of_half_a_pixel_is_seen() {
+fn an_error_of_half_a_pixel_is_detected() {
     let stored = Stored::new(plain(), (96, 72), &[6]);
     let poses = stored.read(Format::Model).0.unwrap();
     let exact = stored.error(&poses, Format::Model, (96, 72), 6);

@@ -10,10 +10,10 @@ use crate::poses::{PosesError, text};
 /// A JSON object.
 pub(super) type Object = serde_json::Map<String, Value>;
 
-/// What Python writes for numbers that JSON has not.
+/// What Python writes for values that are not JSON numbers.
 const NO_NUMBERS: [&str; 3] = ["-Infinity", "Infinity", "NaN"];
 
-/// The object that a file holds. What is no number in it becomes the text of its name.
+/// The object in a file. Non-JSON numbers become strings of their names.
 pub(super) fn read(file: &Path) -> Result<Object, PosesError> {
     let text = with_quoted_numbers(&text::read(file)?);
     let parsed: Result<Value, _> = serde_json::from_str(&text);
@@ -31,7 +31,7 @@ pub(super) fn read(file: &Path) -> Result<Object, PosesError> {
     }
 }
 
-/// Where the text stops being JSON, in terms of what its author knows.
+/// Where the text stops being JSON, described for its author.
 fn place(text: &str, error: &serde_json::Error) -> String {
     let lines = text.split_inclusive('\n');
     let before: usize = lines.take(error.line().saturating_sub(1)).map(str::len).sum();
@@ -50,7 +50,7 @@ fn place(text: &str, error: &serde_json::Error) -> String {
     }
 }
 
-/// The text with quotes around what is no number.
+/// The text with quotes around non-JSON numbers.
 fn with_quoted_numbers(text: &str) -> String {
     let mut out = String::with_capacity(text.len());
     let (mut rest, mut in_string) = (text, false);
@@ -64,7 +64,7 @@ fn with_quoted_numbers(text: &str) -> String {
                 rest = &rest[word.len()..];
                 continue;
             }
-            // What a backslash stands before ends no string.
+            // An escaped character does not end a string.
             (None, '\\') if in_string => 1 + rest[1..].chars().next().map_or(0, char::len_utf8),
             _ => c.len_utf8(),
         };
@@ -75,7 +75,7 @@ fn with_quoted_numbers(text: &str) -> String {
     out
 }
 
-/// A number, or one of those that JSON has not.
+/// A number, including non-JSON ones.
 pub(super) fn number(value: &Value) -> Option<f64> {
     match value {
         Value::Number(number) => number.as_f64(),
@@ -84,7 +84,7 @@ pub(super) fn number(value: &Value) -> Option<f64> {
     }
 }
 
-/// A frame's own fields, which win over the file's.
+/// A frame's own fields, which take precedence over the file's.
 pub(super) struct Fields<'a> {
     own: &'a Object,
     shared: &'a Object,
@@ -104,7 +104,7 @@ impl<'a> Fields<'a> {
         self.shared.get(key).filter(|value| !value.is_null())
     }
 
-    /// A field of the frame, else of the file.
+    /// A field of the frame, or else of the file.
     pub(super) fn get(&self, key: &str) -> Option<&'a Value> {
         self.own(key).or_else(|| self.shared(key))
     }
@@ -114,8 +114,8 @@ impl<'a> Fields<'a> {
         keys.iter().any(|key| self.own(key).is_some())
     }
 
-    /// The fields of the frame alone where it has one of `keys`, else those of the file: what
-    /// belongs together is not mixed.
+    /// The fields of the frame alone if it has one of `keys`, else those of the file: related
+    /// fields are not mixed.
     pub(super) fn together(&self, keys: &[&str]) -> Self {
         let object = match self.has_own(keys) {
             true => self.own,
@@ -129,7 +129,7 @@ impl<'a> Fields<'a> {
         Self::new(self.shared, self.shared)
     }
 
-    /// Whether a field is told and not `false`.
+    /// Whether a field is present and not `false`.
     pub(super) fn is_set(&self, key: &str) -> bool {
         !matches!(self.get(key), None | Some(Value::Bool(false)))
     }
@@ -143,7 +143,7 @@ impl<'a> Fields<'a> {
         number.map(Some).ok_or_else(|| format!("`{key}` is {value} and not a number"))
     }
 
-    /// Some numbers, 0 where they are not told.
+    /// Several numbers, 0 where they are missing.
     pub(super) fn numbers<const N: usize>(&self, keys: [&str; N]) -> Result<[f64; N], String> {
         let mut numbers = [0.0; N];
         for (number, key) in numbers.iter_mut().zip(keys) {

@@ -11,11 +11,11 @@ use crate::poses::PosesError;
 /// Nerfstudio's field for the mask of a frame, relative to the file.
 const FIELD: &str = "mask_path";
 
-/// The photographs and masks of the frames that have one, by their paths in the file, and in those
-/// of the other splits beside it.
+/// The photographs and masks of the frames that have one, with their paths in the file, including
+/// the other splits beside it.
 ///
 /// # Errors
-/// [`PosesError`] where a file cannot be read.
+/// [`PosesError`] if a file cannot be read.
 pub fn masks(file: &Path) -> Result<Vec<(PhotoPath, PhotoPath)>, PosesError> {
     let mut all = Vec::new();
     for (file, _) in files(file)? {

@@ -1,4 +1,4 @@
-//! Intrinsics as instant-ngp, nerfstudio and those who convert to them write them.
+//! Intrinsics as written by instant-ngp, nerfstudio and converters for them.
 
 use std::f64::consts::PI;
 
@@ -8,19 +8,19 @@ use super::json::{self, Fields};
 use crate::dataset::given_view::{Focal, GivenLens};
 use crate::poses::Distortion;
 
-/// Fields that tell the focal length.
+/// Fields for the focal length.
 const FOCAL: [&str; 6] = ["fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "x_fov", "y_fov"];
 
-/// Fields that tell the distortion.
+/// Fields for the distortion.
 const TERMS: [&str; 8] = ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"];
 
-/// nerfstudio's list of k1, k2, k3, k4, p1, p2 in their stead.
+/// nerfstudio's alternative list of k1, k2, k3, k4, p1, p2.
 const LIST: &str = "distortion_params";
 
-/// Fields by which instant-ngp tells lenses that are not read.
+/// instant-ngp's fields for unsupported lenses.
 const UNREAD: [&str; 4] = ["ftheta_p0", "ftheta_p1", "latlong", "equirectangular"];
 
-/// Advice on a lens that is not read.
+/// Advice for an unsupported lens.
 const INSTEAD: &str = "make pictures of PINHOLE, OPENCV or OPENCV_FISHEYE";
 
 /// How a lens maps directions.
@@ -37,7 +37,7 @@ enum Projection {
 /// The lens of a frame.
 ///
 /// # Errors
-/// Which field is wrong, and how.
+/// Names the wrong field and the fault.
 pub(super) fn lens(fields: &Fields<'_>) -> Result<GivenLens, String> {
     let distortion = distortion(fields)?;
     let size = size(fields)?;
@@ -67,7 +67,7 @@ pub(super) fn lens(fields: &Fields<'_>) -> Result<GivenLens, String> {
     })
 }
 
-/// Focal lengths and principal point of NeuS2's matrix.
+/// Focal lengths and principal point from NeuS2's matrix.
 fn matrix(fields: &Fields<'_>) -> Result<Option<[f64; 4]>, String> {
     let key = "intrinsic_matrix";
     let Some(rows) = fields.get(key) else {
@@ -83,7 +83,7 @@ fn matrix(fields: &Fields<'_>) -> Result<Option<[f64; 4]>, String> {
     }
 }
 
-/// Width and height, px, where they are told.
+/// Width and height, px, if given.
 fn size(fields: &Fields<'_>) -> Result<Option<[f64; 2]>, String> {
     match (fields.number("w")?, fields.number("h")?) {
         (Some(width), Some(height)) if width >= 1.0 && height >= 1.0 && width.max(height) < 1e6 => {
@@ -96,8 +96,8 @@ fn size(fields: &Fields<'_>) -> Result<Option<[f64; 2]>, String> {
     }
 }
 
-/// By how much a frame's picture is larger than those that the file's pixels are of; `None` where
-/// it is of another shape.
+/// Scale of a frame's picture relative to the size of the file's pixels; `None` if the shapes
+/// differ.
 fn growth(fields: &Fields<'_>, size: Option<[f64; 2]>) -> Option<[f64; 2]> {
     let (Some([width, height]), Ok(Some([w, h]))) = (size, self::size(&fields.of_file())) else {
         return Some([1.0; 2]);
@@ -115,20 +115,20 @@ fn focal(fields: &Fields<'_>) -> Result<Focal, String> {
     };
     let pixels = |key| positive(key, f64::INFINITY, "a number of pixels above 0");
     let angle = |radians, degrees| {
-        let told = positive(radians, PI, "in radians, between 0 and pi")?;
+        let in_radians = positive(radians, PI, "in radians, between 0 and pi")?;
         let in_degrees = positive(degrees, 180.0, "in degrees, between 0 and 180")?;
-        Ok::<_, String>(told.or(in_degrees.map(f64::to_radians)))
+        Ok::<_, String>(in_radians.or(in_degrees.map(f64::to_radians)))
     };
     let angles = (angle("camera_angle_x", "x_fov")?, angle("camera_angle_y", "y_fov")?);
     match ((pixels("fl_x")?, pixels("fl_y")?), angles) {
         ((Some(fx), fy), _) => Ok(Focal::Pixels([fx, fy.unwrap_or(fx)])),
         ((None, Some(fy)), _) => Ok(Focal::Pixels([fy, fy])),
-        (_, (None, None)) => Err("neither `fl_x` nor `camera_angle_x` is told".to_owned()),
+        (_, (None, None)) => Err("neither `fl_x` nor `camera_angle_x` is in_radians".to_owned()),
         (_, (x, y)) => Ok(Focal::Angles([x, y])),
     }
 }
 
-/// The projection of a frame, by its own `camera_model` or else the file's.
+/// The projection of a frame, from its own `camera_model` or else the file's.
 fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
     if let Some(key) = UNREAD.iter().find(|key| fields.is_set(key)) {
         return Err(format!("`{key}` is of a lens that is not read: {INSTEAD} of it"));
@@ -147,8 +147,8 @@ fn projection(fields: &Fields<'_>) -> Result<Projection, String> {
     }
 }
 
-/// The terms of a frame in the order of [`TERMS`]: its own together, or else the file's if they are
-/// of the same projection.
+/// The terms of a frame in the order of [`TERMS`]: all its own, or else the file's if the
+/// projection is the same.
 fn terms(fields: &Fields<'_>, projection: Projection) -> Result<[f64; 8], String> {
     let keys = [&TERMS[..], &[LIST]].concat();
     let of_file = fields.of_file();

@@ -119,7 +119,7 @@ fn unfit_networks_are_refused_with_the_reason() {
     assert!(matches!(refused, DeblurError::ModelUnusable { .. }), "{refused}");
 }
 
-/// The network halves the view by a weight that lies in `weights/`, as `make_onnx.py` writes it.
+/// The network halves the view by a weight in `weights/`, as `make_onnx.py` writes it.
 #[test]
 fn weights_are_read_beside_the_network_wherever_the_program_runs() {
     let mut network = network(&file("external3.onnx")).expect("loads");
@@ -197,14 +197,17 @@ fn broken_cuda_is_reported_and_the_cpu_is_used() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let runtime = runtime::as_if_in(folder.path());
     let model = Model::find(&file("identity3.onnx"), &[]).expect("present");
-    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    let (network, warning) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(
-        (network.describe().provider.as_str(), said),
+        (network.describe().provider.as_str(), warning),
         ("cpu", None),
         "without CUDA there is nothing to say"
     );
     std::fs::write(folder.path().join(runtime::CUDA_LIBRARY), "not a library").expect("write");
-    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    let (network, warning) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(network.describe().provider, "cpu");
-    assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
+    assert!(
+        warning.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")),
+        "{warning:?}"
+    );
 }

@@ -52,7 +52,7 @@ fn the_integer_table_is_opencvs_and_the_float_table_close() {
         let float = histogram.equalisation(alpha).expect("a table");
         let worst = float.iter().zip(&expected).map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
         // The error of whole counts: half a step, the limit's fraction in each bin, and up to 64
-        // counts of the remainder that come early (r - r^2 / 256 at r = 128).
+        // counts of the remainder that are placed early (r - r^2 / 256 at r = 128).
         let limit = (alpha * values.len() as f64 / BINS as f64).max(1.0);
         let counts = 64.0 + BINS as f32 * limit.fract() as f32;
         let allowed = 0.5 + counts * 255.0 / values.len() as f32;

@@ -4,7 +4,7 @@ use rand_pcg::Pcg64Mcg;
 use super::*;
 use crate::camera::normalisation::Normalisation;
 
-/// Gaussians in a cube of this side, of harmonics of this degree.
+/// Gaussians in a cube with this side, with harmonics of this degree.
 fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
     let mut random = Pcg64Mcg::seed_from_u64(7);
     let mut number = |from: f32, to: f32| random.random_range(from..to);
@@ -20,7 +20,7 @@ fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
     scene
 }
 
-/// The file that holds the scene: what follows its header, and the header.
+/// The scene's file: its header, and the rest.
 fn written(scene: &Gaussians) -> (String, Vec<u8>) {
     let mut bytes = Vec::new();
     let scene = Scene { gaussians: scene.clone(), normalisation: Normalisation::default() };
@@ -31,7 +31,7 @@ fn written(scene: &Gaussians) -> (String, Vec<u8>) {
     (String::from_utf8(bytes).expect("text"), body)
 }
 
-/// Reads it as PlayCanvas' tools do: what is packed, of so many Gaussians with so many harmonics.
+/// Reads the packed body as PlayCanvas' tools do, with these numbers of Gaussians and harmonics.
 fn read(body: &[u8], count: usize, coefficients: usize) -> Gaussians {
     let chunks = count.div_ceil(CHUNK);
     let word = |at: usize| u32::from_le_bytes(body[4 * at..][..4].try_into().expect("four"));
@@ -114,7 +114,7 @@ fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 6] {
 }
 
 #[test]
-fn what_is_read_back_differs_by_no_more_than_half_a_step() {
+fn a_round_trip_differs_by_at_most_half_a_step() {
     for degree in 0..=3 {
         let scene = scene(1000, 8.0, degree);
         let (header, body) = written(&scene);
@@ -124,8 +124,8 @@ fn what_is_read_back_differs_by_no_more_than_half_a_step() {
         let expected = scene.select(&along_curve(&scene));
         let back = read(&body, 1000, scene.coefficients());
         let found = differences(&expected, &back);
-        // Half a step of 10 bits of the cube, of the scales and of eight bits of the colours; a
-        // step of 10 bits of a rotation; half a step of 8.
+        // Half a step of 10 bits for the cube and the scales, of eight bits for the colours; a step
+        // of 10 bits for a rotation; half a step of 8.
         let bounds =
             [8.0 / 2046.0, 6.0 / 2046.0, 3.0 * Y00 / 510.0, 1.0 / 510.0, 0.006, 1.0 / 64.0];
         for (found, bound) in found.iter().zip(bounds) {
@@ -135,7 +135,7 @@ fn what_is_read_back_differs_by_no_more_than_half_a_step() {
 }
 
 #[test]
-fn one_that_is_far_away_costs_its_own_chunk_and_no_other() {
+fn a_distant_gaussian_affects_only_its_own_chunk() {
     let mut scene = scene(2000, 1.0, 0);
     scene.means[77] = [1e4, -1e4, 1e4];
     let expected = scene.select(&along_curve(&scene));
@@ -147,7 +147,7 @@ fn one_that_is_far_away_costs_its_own_chunk_and_no_other() {
 }
 
 #[test]
-fn what_is_no_number_is_left_out_and_nothing_is_a_file_too() {
+fn non_finite_values_are_left_out_and_an_empty_scene_is_written() {
     let mut scene = scene(10, 1.0, 1);
     scene.means[3][1] = f32::NAN;
     let (header, body) = written(&scene);
@@ -158,7 +158,7 @@ fn what_is_no_number_is_left_out_and_nothing_is_a_file_too() {
 }
 
 #[test]
-fn opacities_and_harmonics_beyond_the_ends_stay_numbers() {
+fn out_of_range_opacities_and_harmonics_stay_finite() {
     let mut scene = scene(2, 1.0, 1);
     scene.opacity_logits = vec![-60.0, 60.0];
     scene.sh[4] = 1e9;

@@ -1,8 +1,9 @@
-//! A phone's HEIC, behind the interface of the other decoders.
+//! Phone HEIC files, with the interface of the other decoders.
 //!
-//! What a file's boxes promise is checked before a pixel is decoded: a photograph is one coded
-//! picture or a grid of them, and nothing larger than it says is made. Rotation, mirroring and
-//! clipping belong to the container and are done here; EXIF's orientation only repeats them.
+//! The declarations in a file's boxes are checked before a pixel is decoded: a photograph is one
+//! coded picture or a grid of them, and nothing larger than declared is allocated. Rotation,
+//! mirroring and clipping belong to the container and are applied here; EXIF's orientation only
+//! repeats them.
 
 use heifer::heifer_hevc_dec::nal::NalUnit;
 use heifer::heifer_hevc_dec::params::ParameterSets;
@@ -15,30 +16,30 @@ use image::{ColorType, ImageDecoder, ImageResult};
 use super::error::{ImageError, MAX_PIXELS};
 use crate::image::hdr::{HdrTransfer, primaries_to_srgb};
 
-/// What may be coded beyond the picture on each side, px: codecs code whole blocks.
+/// Coded margin allowed beyond the picture on each side, px: codecs code whole blocks.
 const MARGIN: u64 = 64;
-/// A grid's tile, px, that may be larger than the picture.
+/// Pixels of a grid's tile, which may exceed the picture.
 const TILE: u64 = 1 << 20;
-/// Longest file, bytes: it is read whole. 100 megapixels take 30 MiB.
+/// Maximum file size, bytes: it is read whole. 100 megapixels take 30 MiB.
 pub(super) const LONGEST: u64 = 128 << 20;
-/// Longest description of what a file holds, bytes. Phones write 5,000; reading it takes a time
-/// that grows with its square.
+/// Maximum size of the metadata, bytes. Phones write 5,000; reading takes time quadratic in the
+/// size.
 const LONGEST_META: usize = 512 << 10;
 
-/// A photograph whose boxes were read; its pixels are decoded when they are asked for.
+/// A photograph whose boxes have been read; its pixels are decoded on request.
 pub(super) struct Heic {
     bytes: Vec<u8>,
     /// Upright, px.
     size: (u32, u32),
-    /// As it is coded: before cuts and turns, px.
+    /// As coded: before cropping and rotation, px.
     coded: (u32, u32),
     is_deep: bool,
-    /// Of a larger range of brightness, its transfer function and its primaries.
+    /// For a larger brightness range, its transfer function and primaries.
     hdr: Option<(HdrTransfer, u16)>,
     exif: Option<Vec<u8>>,
 }
 
-/// How the values of a picture are coded, by code points of ITU-T H.273.
+/// How the values of a picture are coded, as code points of ITU-T H.273.
 #[derive(Clone, Copy)]
 struct Coding {
     primaries: u16,
@@ -50,36 +51,37 @@ impl Heic {
     /// Reads the boxes of a whole file.
     ///
     /// # Errors
-    /// [`ImageError::Unsupported`] for what is no photograph of a phone or camera, such as an
-    /// overlay or another codec, [`ImageError::Damaged`] for broken boxes.
+    /// [`ImageError::Unsupported`] for files that are not photographs of a phone or camera, such as
+    /// an overlay or another codec, [`ImageError::Damaged`] for broken boxes.
     pub(super) fn open(bytes: Vec<u8>) -> Result<Self, ImageError> {
         check_meta(&bytes)?;
-        let file = HeifFile::parse(&bytes).map_err(|error| told(&error.into()))?;
-        let first = coded_picture(&file).map_err(|error| told(&error))?;
-        check_alpha(&file).map_err(|error| told(&error))?;
-        let whole = coded_size(&file, file.primary_id).map_err(|error| told(&error))?;
+        let file = HeifFile::parse(&bytes).map_err(|error| image_error(&error.into()))?;
+        let first = coded_picture(&file).map_err(|error| image_error(&error))?;
+        check_alpha(&file).map_err(|error| image_error(&error))?;
+        let whole = coded_size(&file, file.primary_id).map_err(|error| image_error(&error))?;
         if u64::from(whole.0) * u64::from(whole.1) > MAX_PIXELS {
             let (width, height) = whole;
             return Err(ImageError::TooManyPixels { width, height });
         }
-        let size = upright_size(&file, whole).map_err(|error| told(&error))?;
-        let config = file.hevc_config(first).map_err(|error| told(&error.into()))?;
-        let coding = coding(&file, &[file.primary_id, first]).map_err(|error| told(&error))?;
+        let size = upright_size(&file, whole).map_err(|error| image_error(&error))?;
+        let config = file.hevc_config(first).map_err(|error| image_error(&error.into()))?;
+        let coding =
+            coding(&file, &[file.primary_id, first]).map_err(|error| image_error(&error))?;
         let hdr = coding.and_then(|c| Some((HdrTransfer::of_code(c.transfer)?, c.primaries)));
-        // Of a larger range 8 bits of sRGB keep too little.
+        // For a larger range, 8 bits of sRGB lose too much.
         let is_deep = hdr.is_some() || config.is_some_and(|config| config.bit_depth_luma > 8);
-        // EXIF that cannot be read leaves the photograph as good as it was.
+        // Unreadable EXIF does not affect the photograph.
         let exif = file.exif(file.primary_id).ok().flatten();
         Ok(Self { is_deep, size, coded: whole, hdr, exif, bytes })
     }
 
-    /// The larger range of brightness that the file has.
+    /// The file's larger brightness range, if any.
     pub(super) fn hdr(&self) -> Option<HdrTransfer> {
         self.hdr.map(|(transfer, _)| transfer)
     }
 
-    /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before
-    /// and after a turn.
+    /// Bytes that decoding needs besides the samples: the file, the coded planes, and RGBA before
+    /// and after a rotation.
     pub(super) fn bytes_beside(&self) -> u64 {
         let rgba = if self.is_deep { 8 } else { 4 };
         let pixels = u64::from(self.coded.0) * u64::from(self.coded.1);
@@ -89,7 +91,7 @@ impl Heic {
     fn options(&self) -> Options {
         let (width, height) = (u64::from(self.coded.0), u64::from(self.coded.1));
         Options {
-            // Photographs are decoded beside each other already.
+            // Photographs are already decoded in parallel.
             max_threads: 1,
             max_pixels: ((width + MARGIN) * (height + MARGIN)).max(TILE),
         }
@@ -99,7 +101,7 @@ impl Heic {
     fn decode(&self, out: &mut [u8]) -> Result<(), ImageError> {
         if self.is_deep {
             let picture = heifer::decode_with_options(&self.bytes, &self.options());
-            let picture = picture.map_err(|error| told(&error))?;
+            let picture = picture.map_err(|error| image_error(&error))?;
             self.check((picture.width, picture.height))?;
             let top = u32::from(picture.max_value());
             let deep = |v: u16| ((u32::from(v) * 65_535 + top / 2) / top) as u16;
@@ -115,7 +117,7 @@ impl Heic {
             }
         } else {
             let picture = heifer::decode_rgba8(&self.bytes, &self.options());
-            let picture = picture.map_err(|error| told(&error))?;
+            let picture = picture.map_err(|error| image_error(&error))?;
             self.check((picture.width, picture.height))?;
             let pixels = picture.data.chunks_exact(4);
             let values = pixels.flat_map(|pixel| over_black(pixel, 255));
@@ -157,7 +159,7 @@ impl ImageDecoder for Heic {
     fn read_image(self, out: &mut [u8]) -> ImageResult<()> {
         self.decode(out).map_err(|error| {
             let hint = image::error::ImageFormatHint::Name("HEIC".to_owned());
-            // The words alone go on: the caller's error says the rest.
+            // Keep only the message: the caller's error adds the rest.
             let words = match error {
                 ImageError::Damaged { message } | ImageError::Unsupported { message } => message,
                 other => other.to_string(),
@@ -171,7 +173,7 @@ impl ImageDecoder for Heic {
     }
 }
 
-/// Refuses a file whose boxes say too much. Nothing of them is kept yet.
+/// Refuses a file with excessive boxes, before any of them is stored.
 fn check_meta(bytes: &[u8]) -> Result<(), ImageError> {
     let mut at = 0;
     while let Some(head) = bytes.get(at..at + 16) {
@@ -194,14 +196,14 @@ fn check_meta(bytes: &[u8]) -> Result<(), ImageError> {
     Ok(())
 }
 
-/// The picture, or the first tile of the grid, that is coded.
+/// The coded picture, or the first tile of the grid.
 fn coded_picture(file: &HeifFile<'_>) -> Result<u32, Error> {
     coded_below(file, file.primary_id)?.ok_or_else(|| {
         Error::Unsupported("neither a picture of HEVC nor a grid of such".to_owned())
     })
 }
 
-/// Of a picture that is coded as one or as a grid, which item is coded first. `None` for another.
+/// The item that is coded first, for a picture coded as one or as a grid. `None` for others.
 fn coded_below(file: &HeifFile<'_>, id: u32) -> Result<Option<u32>, Error> {
     let kind = |id| file.item(id).map(|item| item.item_type.0);
     match &kind(id)? {
@@ -218,7 +220,7 @@ fn coded_below(file: &HeifFile<'_>, id: u32) -> Result<Option<u32>, Error> {
     let Some(&first) = tiles.first() else {
         return Ok(None);
     };
-    // Every tile is decoded, so none may lie beside the picture.
+    // Every tile is decoded, so none may be outside the picture.
     let grid = file.grid(id)?;
     let (rows, columns) = (u64::from(grid.rows), u64::from(grid.columns));
     let (width, height) = coded_size(file, first)?;
@@ -231,7 +233,7 @@ fn coded_below(file: &HeifFile<'_>, id: u32) -> Result<Option<u32>, Error> {
     Ok(Some(first))
 }
 
-/// Whatever is said to be a picture's alpha is decoded, too.
+/// Checks every declared alpha picture, as it is decoded, too.
 fn check_alpha(file: &HeifFile<'_>) -> Result<(), Error> {
     for aux in file.referencing_items(file.primary_id, b"auxl") {
         if coded_below(file, aux)?.is_none() {
@@ -243,7 +245,7 @@ fn check_alpha(file: &HeifFile<'_>) -> Result<(), Error> {
     Ok(())
 }
 
-/// Width and height before the container's cuts and turns.
+/// Width and height before the container's crops and rotations.
 fn coded_size(file: &HeifFile<'_>, id: u32) -> Result<(u32, u32), Error> {
     let size = file.image_size(id)?.ok_or(Error::Invalid("its size is missing"))?;
     if size.0 == 0 || size.1 == 0 {
@@ -252,7 +254,7 @@ fn coded_size(file: &HeifFile<'_>, id: u32) -> Result<(u32, u32), Error> {
     Ok(size)
 }
 
-/// Width and height after the container's cuts and turns.
+/// Width and height after the container's crops and rotations.
 fn upright_size(file: &HeifFile<'_>, coded: (u32, u32)) -> Result<(u32, u32), Error> {
     let mut size = coded;
     for property in file.item_properties(file.primary_id)? {
@@ -273,10 +275,10 @@ fn upright_size(file: &HeifFile<'_>, coded: (u32, u32)) -> Result<(u32, u32), Er
     Ok(size)
 }
 
-/// How the first of these items that says so is coded, by its container or else by its stream.
+/// The coding of the first of these items that declares one, in its container or else its stream.
 ///
 /// # Errors
-/// [`Error::Unsupported`] for colours that its decoder would read as those of BT.601.
+/// [`Error::Unsupported`] for colours that its decoder would read as BT.601.
 fn coding(file: &HeifFile<'_>, items: &[u32]) -> Result<Option<Coding>, Error> {
     for &item in items {
         let container = file.item_properties(item)?.find_map(|property| match *property {
@@ -315,7 +317,7 @@ fn coding_of_stream(units: &[Vec<u8>]) -> Option<Coding> {
     })
 }
 
-/// Writes pixels of a larger range as sRGB of 16 bits, over black.
+/// Writes pixels of a larger range as 16-bit sRGB, over black.
 fn converted<'a>(
     pixels: impl Iterator<Item = &'a [u16]>,
     top: u32,
@@ -340,7 +342,7 @@ fn over_black<T: Copy + Into<u32>>(pixel: &[T], top: u32) -> [u16; 3] {
     [0, 1, 2].map(|channel| ((pixel[channel].into() * alpha + top / 2) / top) as u16)
 }
 
-fn told(error: &Error) -> ImageError {
+fn image_error(error: &Error) -> ImageError {
     let message = error.to_string();
     match error {
         Error::Unsupported(what) => ImageError::Unsupported { message: what.clone() },

@@ -1,25 +1,26 @@
-//! Whether a JPEG's picture is whole.
+//! Checks whether a JPEG's picture is complete.
 //!
-//! The decoder fills what it does not find with grey and says nothing. Here every Huffman code is
-//! read beforehand, without pixels: each scan, and each part of one between restart markers, must
-//! hold as many blocks as its rows take, no more, and no value that a picture cannot have. Bytes
-//! behind the picture, as phones put them there, and a missing end marker do no harm.
+//! The decoder silently fills missing data with grey. Here every Huffman code is read first,
+//! without decoding pixels: each scan, and each part of one between restart markers, must contain
+//! exactly the blocks of its rows, and no value that is impossible in a picture. Bytes after the
+//! picture, as written by phones, and a missing end marker are harmless.
 
 use std::iter;
 
 use super::error::{ImageError, MAX_PIXELS};
 
-/// Largest first coefficient of a block, dequantised: eight times a sample of -128, and some room
-/// for encoders that compute inexactly. A wrong byte shifts all blocks behind it, often past this.
+/// Largest first coefficient of a block, dequantised: eight times a sample of -128, with a margin
+/// for inexact encoders. A wrong byte shifts all following blocks, often beyond this.
 const LARGEST_MEAN: u32 = 1100;
 
-/// Largest of the others: as much, and what encoders add to white beside an edge against ringing.
+/// Largest other coefficient: the same, plus what encoders add to white beside edges against
+/// ringing.
 const LARGEST_DETAIL: u32 = 1280;
 
-/// Checks a file that begins as a JPEG does. All else is left to the decoder.
+/// Checks a file that begins as a JPEG does. Everything else is left to the decoder.
 ///
 /// # Errors
-/// [`ImageError::Damaged`], with how much is whole, and [`ImageError::Unsupported`].
+/// [`ImageError::Damaged`], with the intact share, and [`ImageError::Unsupported`].
 pub(super) fn check(bytes: &[u8]) -> Result<(), ImageError> {
     let mut file = File { bytes, at: 2, restart: 0 };
     let (mut tables, mut frame) = (Tables::default(), None);
@@ -27,7 +28,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), ImageError> {
         match marker {
             0xd9 => break,
             0xd0..=0xd7 => continue,
-            // Only its end follows the last scan; all else is a trailer.
+            // Only the end follows the last scan; anything else is a trailer.
             _ if frame.as_ref().is_some_and(Frame::is_complete) => return Ok(()),
             0x01 | 0xd8 => continue,
             _ => (),
@@ -62,7 +63,7 @@ pub(super) fn check(bytes: &[u8]) -> Result<(), ImageError> {
     }
 }
 
-/// A kind that the decoder does not read, by the marker that begins its frame.
+/// A kind that the decoder does not support, from the marker that begins its frame.
 fn unread(marker: u8, segment: &[u8]) -> Option<&'static str> {
     match (marker, segment) {
         (0xc9..=0xcb | 0xcd..=0xcf, _) => Some("a JPEG of arithmetic coding"),
@@ -82,11 +83,11 @@ fn number(bytes: &[u8]) -> usize {
     usize::from(bytes[0]) << 8 | usize::from(bytes[1])
 }
 
-/// A file and how far it has been read.
+/// A file and the current position.
 struct File<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// After how many units a restart marker follows; 0 for never.
+    /// Units between restart markers; 0 for none.
     restart: usize,
 }
 
@@ -98,7 +99,7 @@ impl<'a> File<'a> {
         let end = rest.windows(2).position(is_marker);
         self.at += end.map_or(rest.len(), |end| end + 2);
         let data = &rest[..end.unwrap_or(rest.len())];
-        // Bytes of 0xff before a marker belong to it.
+        // 0xff bytes before a marker belong to it.
         let length = data.iter().rposition(|&byte| byte != 0xff).map_or(0, |last| last + 1);
         (Bits { rest: &data[..length], buffer: 0, count: 0 }, end.map(|end| rest[end + 1]))
     }
@@ -148,9 +149,9 @@ impl<'a> File<'a> {
 /// Tables that segments before a scan define.
 #[derive(Default)]
 struct Tables {
-    /// Of the first coefficients, and of the others.
+    /// For the first coefficients, and for the others.
     huffman: [[Option<Huffman>; 4]; 2],
-    /// Steps in the order of coding.
+    /// Steps in coding order.
     steps: [Vec<u32>; 4],
 }
 
@@ -184,8 +185,8 @@ impl Tables {
 
 /// A table of Huffman codes.
 struct Huffman {
-    /// By length: the first code, what is too large for one, both left-aligned in 16 bits, and the
-    /// first code's place among the values.
+    /// For each length: the first code, the first value too large for a code, both left-aligned in
+    /// 16 bits, and the first code's index among the values.
     lengths: Vec<(u32, u32, u32)>,
     values: Vec<u8>,
 }
@@ -203,20 +204,20 @@ impl Huffman {
     }
 }
 
-/// One colour of a picture.
+/// One colour component of a picture.
 struct Component {
     id: u8,
-    /// Blocks of a unit of an interleaved scan.
+    /// Blocks across a unit of an interleaved scan.
     across: usize,
     down: usize,
     steps: usize,
-    /// Blocks in a row, filled up to whole units.
+    /// Blocks in a row, padded to whole units.
     stride: usize,
-    /// Blocks across and down that a scan of this component alone has.
+    /// Blocks across and down in a scan of this component alone.
     own: (usize, usize),
-    /// A bit of each coefficient of each block that is not zero; empty unless progressive.
+    /// One bit for each non-zero coefficient of each block; empty unless progressive.
     set: Vec<u64>,
-    /// How many bits of each coefficient are still to come; 255 where none has come.
+    /// Bits of each coefficient still to come; 255 if none has come.
     to_come: [u8; 64],
 }
 
@@ -228,7 +229,7 @@ struct Frame {
 }
 
 impl Frame {
-    /// `None` for what the decoder must judge.
+    /// `None` if the decoder must decide.
     fn read(segment: &[u8], progressive: bool) -> Option<Self> {
         let (head, rest) = segment.split_at_checked(6)?;
         let (height, width) = (number(&head[1..]), number(&head[3..]));
@@ -260,7 +261,7 @@ impl Frame {
         Some(Self { height, units, progressive, components: parts.iter().map(component).collect() })
     }
 
-    /// Remembers a scan that is whole.
+    /// Records a complete scan.
     fn note(&mut self, scan: &Scan<'_>) {
         for part in &scan.parts {
             let band = scan.band.0 as usize..=scan.band.1 as usize;
@@ -268,7 +269,7 @@ impl Frame {
         }
     }
 
-    /// Whether every component is there to its last bit. Some encoders leave out detail of colour.
+    /// Whether every component has all its bits. Some encoders omit colour detail.
     fn is_complete(&self) -> bool {
         self.components.iter().enumerate().all(|(at, component)| {
             let is_done = |&bits: &u8| bits == 0 || at > 0 && bits == 255;
@@ -283,12 +284,12 @@ struct Part<'a> {
     dc: Option<&'a Huffman>,
     ac: Option<&'a Huffman>,
     steps: &'a [u32],
-    /// The last DC value.
+    /// The previous DC value.
     last: i32,
 }
 
 impl Part<'_> {
-    /// Whether a picture of 8 bits has such a coefficient at this place, less its low bits.
+    /// Whether an 8-bit picture can have this coefficient, less its low bits, at this position.
     fn is_possible(&self, value: i32, k: u32, low: u8) -> bool {
         let step = self.steps.get(k as usize).map_or(1, |step| step << low);
         let largest = if k == 0 { LARGEST_MEAN } else { LARGEST_DETAIL };
@@ -298,18 +299,18 @@ impl Part<'_> {
 
 struct Scan<'a> {
     parts: Vec<Part<'a>>,
-    /// First and last coefficient, in the order of coding.
+    /// First and last coefficient, in coding order.
     band: (u32, u32),
-    /// How many of each coefficient's bits were to come before, 0 for all, and are to come now.
+    /// Bits of each coefficient remaining before this scan, 0 for all, and after it.
     high: u8,
     low: u8,
     progressive: bool,
-    /// Blocks to come that are empty.
+    /// Number of empty blocks to come.
     empty: u32,
 }
 
 impl<'a> Scan<'a> {
-    /// `None` for what the decoder must judge.
+    /// `None` if the decoder must decide.
     fn read(header: &[u8], frame: &Frame, tables: &'a Tables) -> Option<Self> {
         let (&count, rest) = header.split_first()?;
         let (names, rest) = rest.split_at_checked(2 * usize::from(count))?;
@@ -341,11 +342,11 @@ impl<'a> Scan<'a> {
         }
     }
 
-    /// The error of a scan in which only the first `units` are whole.
+    /// The error for a scan of which only the first `units` are intact.
     fn broken(&self, frame: &Frame, units: usize) -> Result<(), ImageError> {
         let (across, down) = self.units(frame);
         let (whole, height) = ((units / across) * frame.height / down, frame.height);
-        // Whether its rows are the first that are seen of the picture.
+        // Whether its rows are the first visible part of the picture.
         let begins = self.band.0 == 0 && self.high == 0;
         damaged(&if begins && self.parts.iter().any(|part| part.component == 0) {
             format!("only the first {whole} of its {height} rows are whole")
@@ -354,7 +355,7 @@ impl<'a> Scan<'a> {
         })
     }
 
-    /// Reads a unit; `None` where it is wrong or its data end.
+    /// Reads a unit; `None` if it is invalid or the data end.
     fn unit(&mut self, frame: &mut Frame, bits: &mut Bits<'_>, at: (usize, usize)) -> Option<()> {
         let alone = self.parts.len() == 1;
         for index in 0..self.parts.len() {
@@ -386,8 +387,8 @@ impl<'a> Scan<'a> {
         part.is_possible(part.last, 0, self.low).then_some(())
     }
 
-    /// The other coefficients, or one more bit of them. `set` holds those that scans of a
-    /// progressive picture have made other than 0.
+    /// The other coefficients, or one more bit of them. `set` marks those made non-zero by earlier
+    /// scans of a progressive picture.
     fn ac(&mut self, index: usize, bits: &mut Bits<'_>, set: &mut u64) -> Option<()> {
         let part = &self.parts[index];
         let is_set = |set: u64, k: u32| set >> k & 1 == 1;
@@ -423,12 +424,12 @@ impl<'a> Scan<'a> {
             }
             self.empty -= 1;
         }
-        // Only in a progressive picture one code ends several blocks.
+        // Only in a progressive picture may one code end several blocks.
         (self.progressive || self.empty == 0).then_some(())
     }
 }
 
-/// The bits of a scan, without the bytes that keep them apart from markers.
+/// The bits of a scan, without the bytes that distinguish them from markers.
 struct Bits<'a> {
     rest: &'a [u8],
     buffer: u64,
@@ -436,7 +437,7 @@ struct Bits<'a> {
 }
 
 impl Bits<'_> {
-    /// The next 16 bits; zeros follow the last.
+    /// The next 16 bits; zeros follow the end.
     fn peek(&mut self) -> u32 {
         if self.count < 16 {
             while self.count <= 40
@@ -450,7 +451,7 @@ impl Bits<'_> {
         (self.buffer << 16 >> self.count) as u32 & 0xffff
     }
 
-    /// At most 16 bits; `None` where they end.
+    /// At most 16 bits; `None` at the end.
     fn take(&mut self, count: u32) -> Option<u32> {
         let bits = self.peek() >> (16 - count);
         self.count = self.count.checked_sub(count)?;
@@ -465,14 +466,14 @@ impl Bits<'_> {
         table.values.get((index + ((next - first) >> (16 - length))) as usize).copied()
     }
 
-    /// A signed value of so many bits.
+    /// A signed value of this many bits.
     fn value(&mut self, size: u8) -> Option<i32> {
         let bits = (size < 16).then(|| self.take(u32::from(size)))?? as i32;
         let half = 1 << size >> 1;
         Some(if bits < half { bits - (1 << size) + 1 } else { bits })
     }
 
-    /// Whether all whole bytes are read but padding: some encoders write a byte too many.
+    /// Whether all whole bytes have been read except padding: some encoders write an extra byte.
     fn are_used_up(&mut self) -> bool {
         self.count -= self.count % 8;
         let first = self.take(8);

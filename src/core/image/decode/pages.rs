@@ -1,17 +1,17 @@
-//! Which page of a TIFF is the photograph.
+//! Selects the page of a TIFF that is the photograph.
 //!
-//! Editors put thumbnails and masks into the same file, some of them first. The decoder reads the
-//! page that the file's head names, so the head is made to name the largest.
+//! Editors store thumbnails and masks in the same file, sometimes first. The decoder reads the page
+//! that the file header points to, so the header is changed to point to the largest.
 
 use std::io::{BufReader, Read, Result, Seek, SeekFrom};
 
 use tiff::decoder::Decoder;
 use tiff::tags::{ByteOrder, Tag};
 
-/// Most pages that are looked at.
+/// Maximum number of pages inspected.
 const MOST_PAGES: usize = 64;
 
-/// A file whose head names another page.
+/// A file whose header points to another page.
 pub(super) struct Paged<R> {
     file: R,
     head: Vec<u8>,
@@ -19,8 +19,8 @@ pub(super) struct Paged<R> {
 }
 
 impl<R: Read + Seek> Paged<R> {
-    /// Names the largest page. Leaves a file as it is whose pages cannot be read: the decoder says
-    /// why.
+    /// Points to the largest page. A file with unreadable pages is left unchanged: the decoder
+    /// reports the reason.
     pub(super) fn open(mut file: R) -> Result<BufReader<Self>> {
         file.rewind()?;
         let mut head = Vec::with_capacity(16);
@@ -62,7 +62,7 @@ impl<R: Seek> Seek for Paged<R> {
     }
 }
 
-/// Where the page with the most pixels lies, the first of equals.
+/// Offset of the page with the most pixels, the first if equal.
 fn largest(file: impl Read + Seek) -> Option<(u64, ByteOrder)> {
     let mut decoder = Decoder::new(file).ok()?;
     let order = decoder.byte_order();
@@ -80,7 +80,7 @@ fn largest(file: impl Read + Seek) -> Option<(u64, ByteOrder)> {
         let mut tags = decoder.read_directory_tags(&directory);
         let mut number = |tag| tags.find_tag_unsigned::<u64>(tag).ok().flatten();
         let pixels = number(Tag::ImageWidth).zip(number(Tag::ImageLength));
-        // Bit 2 is that of a mask.
+        // Bit 2 marks a mask.
         let is_mask = number(Tag::NewSubfileType).is_some_and(|kind| kind & 4 != 0);
         if let (Some((width, height)), false) = (pixels, is_mask) {
             let pixels = width.saturating_mul(height);

@@ -1,4 +1,4 @@
-//! Masks: how much of each pixel counts, by a picture of its own or by alpha.
+//! Masks: how much each pixel counts, from a separate picture or from alpha.
 
 use std::fs::File;
 use std::io::Read;
@@ -7,13 +7,13 @@ use std::path::Path;
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageFormat, Primitive};
 
-use super::{AreaAverage, ImageError, Opened, guarded, told};
+use super::{AreaAverage, ImageError, Opened, guarded, image_error};
 use crate::image::{Image, Linear};
 
-/// Alpha from which a pixel counts in full: encoders leave some 254 for 255.
+/// Alpha from which a pixel counts in full: encoders leave some pixels at 254 instead of 255.
 const OPAQUE: f32 = 0.98;
 
-/// How much of each pixel of a picture counts, in 255ths, row by row.
+/// How much each pixel of a picture counts, in 255ths, row by row.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Shares {
     pub(crate) width: usize,
@@ -34,7 +34,7 @@ impl Shares {
         Image::from_planar(width, height, plane.repeat(3))
     }
 
-    /// With what counts and what does not in each other's place.
+    /// Swaps counted and uncounted.
     #[must_use]
     pub(crate) fn inverted(mut self) -> Self {
         self.plane.iter_mut().for_each(|share| *share = 255 - *share);
@@ -42,8 +42,9 @@ impl Shares {
     }
 }
 
-/// The pixels of a mask that are not black, turned as `orientation` says and not as its own EXIF
-/// does. Of lossy formats, in which black is noisy, those of at least half of white. Where the
+/// The non-black pixels of a mask, rotated by `orientation` rather than by its own EXIF. In lossy
+/// formats, where black is noisy, pixels of at least half of white. If the colour is uniform,
+/// transparent pixels are black.
 /// colour is the same everywhere, transparent pixels are black.
 ///
 /// # Errors
@@ -53,7 +54,7 @@ pub(crate) fn of_picture(path: &Path, orientation: Orientation) -> Result<Shares
     shares(&decoded(path, orientation)?, &Rule::NotBlack(least))
 }
 
-/// How opaque the pixels of a photograph are; `None` where all are.
+/// The opacity of a photograph's pixels; `None` if all are opaque.
 ///
 /// # Errors
 /// [`ImageError`].
@@ -69,9 +70,9 @@ pub(crate) fn of_alpha(path: &Path) -> Result<Option<Shares>, ImageError> {
 
 /// Which pixels count.
 enum Rule {
-    /// Those at least so bright, of white.
+    /// Those with at least this share of white.
     NotBlack(f32),
-    /// Each by its alpha.
+    /// By alpha.
     Opaque,
 }
 
@@ -97,8 +98,8 @@ fn shares(picture: &DynamicImage, rule: &Rule) -> Result<Shares, ImageError> {
 }
 
 impl Rule {
-    /// How much of each pixel counts, in 255ths; grey and RGB have one or three channels, and
-    /// alpha is one more.
+    /// How much each pixel counts, in 255ths; grey and RGB have one or three channels, and alpha is
+    /// an additional one.
     fn plane<T: Primitive>(&self, samples: &[T], channels: usize) -> Vec<u8> {
         let colours = if channels.is_multiple_of(2) { channels - 1 } else { channels };
         let opacity = |pixel: &[T]| pixel.get(colours).map_or(1.0, |alpha| share_of_white(*alpha));
@@ -133,7 +134,7 @@ fn decoded(path: &Path, orientation: Orientation) -> Result<DynamicImage, ImageE
     guarded(|| {
         let opened = Opened::open(path)?;
         let mut picture =
-            DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
+            DynamicImage::from_decoder(opened.decoder).map_err(|error| image_error(&error))?;
         picture.apply_orientation(orientation);
         Ok(picture)
     })
@@ -188,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn alpha_of_a_photograph_is_a_mask_where_something_is_transparent() {
+    fn alpha_of_a_photograph_is_a_mask_if_a_pixel_is_transparent() {
         let folder = tempfile::tempdir().expect("a folder");
         let of = |name: &str, alpha: [u8; 3]| {
             let path = folder.path().join(name);

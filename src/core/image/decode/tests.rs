@@ -1,4 +1,4 @@
-//! Golden pixels of every accepted kind of file, and the outcome of broken ones.
+//! Golden pixels of every accepted kind of file, and the results for broken ones.
 
 use super::*;
 use crate::image::exif::tests::block;
@@ -8,7 +8,7 @@ use image::{ExtendedColorType, ImageEncoder};
 use std::fs;
 use std::path::PathBuf;
 
-/// Writes bytes under a name and gives the path (the folder is kept alive by the caller).
+/// Writes bytes under a name and returns the path (the caller keeps the folder alive).
 fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {
     let path = folder.path().join(name);
     fs::write(&path, bytes).expect("written");
@@ -48,7 +48,7 @@ fn grey_alpha_and_sixteen_bits_have_their_defined_pixels() {
     assert!(close(deep.get(0, 0), [1.0 / 65_535.0, 1000.0 / 65_535.0, 1.0]));
 }
 
-/// Of 16 px, 2 x 2 of them: made once by tests/golden/photographs.py (Pillow, tifffile, libheif).
+/// 16 px, in 2 x 2 blocks: made once by tests/golden/photographs.py (Pillow, tifffile, libheif).
 const BLOCKS: [[u8; 3]; 4] = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [230, 230, 60]];
 
 #[test]
@@ -123,7 +123,7 @@ fn oriented(orientation: u16, value: Value, prefix: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn every_orientation_is_turned_upright_once_in_header_and_pixels() {
+fn every_orientation_is_applied_once_in_header_and_pixels() {
     let folder = folder();
     let cases = (1..=8).flat_map(|orientation| {
         [
@@ -156,7 +156,7 @@ fn page<K: tiff::encoder::TiffKind>(
 }
 
 #[test]
-fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
+fn the_largest_non_mask_page_of_a_tiff_or_bigtiff_is_read() {
     use tiff::encoder::TiffEncoder;
     let folder = folder();
     let path = folder.path().join("a.tif");
@@ -186,10 +186,10 @@ fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
 }
 
 #[test]
-fn a_picture_that_is_too_large_is_refused_on_its_header() {
+fn an_oversized_picture_is_refused_by_its_header() {
     let folder = folder();
     let mut bytes = png(&[0; 4], 2, 2, ExtendedColorType::L8);
-    // IHDR: width and height at 16..24, its checksum at 29..33.
+    // IHDR: width and height at 16..24, the checksum at 29..33.
     bytes[16..20].copy_from_slice(&50_000_u32.to_be_bytes());
     bytes[20..24].copy_from_slice(&50_000_u32.to_be_bytes());
     let checksum = crc32(&bytes[12..29]).to_be_bytes();
@@ -208,7 +208,7 @@ fn crc32(bytes: &[u8]) -> u32 {
 }
 
 #[test]
-fn broken_files_are_errors_that_say_what_is_wrong() {
+fn broken_files_are_errors_that_name_the_fault() {
     let folder = folder();
     let load = |name: &str, bytes: &[u8]| Image::load(&file(&folder, name, bytes)).expect_err(name);
     assert!(matches!(load("empty.jpg", b""), ImageError::Empty));
@@ -232,7 +232,7 @@ fn broken_files_are_errors_that_say_what_is_wrong() {
 }
 
 #[test]
-fn a_file_cut_short_is_damaged_in_every_format() {
+fn a_truncated_file_is_damaged_in_every_format() {
     let folder = folder();
     let image = Image::<Srgb>::from_planar(
         64,

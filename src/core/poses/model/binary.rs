@@ -8,15 +8,14 @@ use super::{UnreadCamera, file};
 use crate::photo_path::decoded;
 use crate::poses::{PosesError, text};
 
-/// What COLMAP writes where a keypoint belongs to no point.
+/// COLMAP's value for a keypoint without a point.
 const NO_POINT: u64 = u64::MAX;
 
-/// Camera models of later versions have numbers and counts of parameters up to these.
+/// Later camera models have numbers and parameter counts in these ranges.
 const LATER_NUMBERS: std::ops::Range<i32> = 0..100;
 const LATER_PARAMETERS: u64 = 32;
 
-/// Largest side of a camera, px, in a file that has such models: bytes that are read at a wrong
-/// place make larger ones.
+/// Largest side of a camera, px, in a file with such models: misaligned reads give larger ones.
 const LARGEST_SIDE: usize = 1 << 24;
 
 pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), PosesError> {
@@ -30,8 +29,8 @@ pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), Poses
     Ok((model, unread))
 }
 
-/// Bytes that are being taken apart. Counts in the file are never trusted for allocation: the
-/// bytes run out first.
+/// Bytes being parsed. Counts in the file are never trusted for allocation: the bytes run out
+/// first.
 struct Bytes<'a> {
     left: &'a [u8],
     file: &'a Path,
@@ -84,8 +83,8 @@ impl<'a> Bytes<'a> {
     }
 }
 
-/// The rows of `cameras.bin`. A camera model that COLMAP has added since has as many parameters as
-/// make the file end with its last camera; where several counts do, the file cannot be read.
+/// The rows of `cameras.bin`. For an unknown later camera model, the parameter count is the one
+/// that makes the file end with its last camera; if several counts do, the file is unreadable.
 fn camera_rows(file: &Path) -> Result<Vec<CameraRow>, PosesError> {
     let content = text::bytes(file)?;
     let read = |later: Option<u64>| -> Result<(Vec<CameraRow>, bool), PosesError> {
@@ -115,7 +114,7 @@ fn rows<T>(
     bytes.many(count, row)
 }
 
-/// A row; `later` is the count of parameters of models that are not known.
+/// A row; `later` is the parameter count of unknown models.
 fn camera(bytes: &mut Bytes<'_>, later: Option<u64>) -> Result<CameraRow, PosesError> {
     let id = bytes.u32()?;
     let number = i32::from_le_bytes(bytes.take()?);
@@ -127,7 +126,7 @@ fn camera(bytes: &mut Bytes<'_>, later: Option<u64>) -> Result<CameraRow, PosesE
         let (name, parameters) = CameraModel::unread_name(number);
         let reason = CameraModel::unread(&name);
         let later = later.filter(|_| LATER_NUMBERS.contains(&number));
-        // Where their count is not known, nothing behind it is.
+        // If their count is unknown, everything after them is.
         let skipped = parameters.or(later).and_then(|count| bytes.many(count, Bytes::f64).ok());
         return match skipped {
             Some(_) => Ok(Err(UnreadCamera { id, reason })),

@@ -20,7 +20,7 @@ pub struct ModelCamera {
     pub params: Vec<f64>,
 }
 
-/// COLMAP's camera models that we can undistort, by COLMAP's names.
+/// COLMAP camera models that can be undistorted, by COLMAP's names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CameraModel {
     SimplePinhole,
@@ -37,7 +37,7 @@ pub enum CameraModel {
 }
 
 impl CameraModel {
-    /// Model, COLMAP's number and name, and its count of parameters.
+    /// Model, COLMAP's number and name, and parameter count.
     pub(super) const NAMES: [(Self, i32, &'static str, usize); 11] = [
         (Self::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
         (Self::Pinhole, 1, "PINHOLE", 4),
@@ -52,7 +52,7 @@ impl CameraModel {
         (Self::Fisheye, 15, "FISHEYE", 4),
     ];
 
-    /// Number, name and count of parameters of models that are not read, as in COLMAP 4.1's
+    /// Number, name and parameter count of unsupported models, as in COLMAP 4.1's
     /// `src/colmap/sensor/models.h` and `models/*.h`.
     const UNREAD: [(i32, &'static str, u64); 7] = [
         (7, "FOV", 5),
@@ -86,12 +86,12 @@ impl CameraModel {
         self.row().2
     }
 
-    /// How many parameters it has.
+    /// Its parameter count.
     pub fn parameters(self) -> usize {
         self.row().3
     }
 
-    /// What is said of a model that is none of these.
+    /// The message for any other model.
     pub(super) fn unread(name: &str) -> String {
         format!(
             "camera model {name} is not read; undistort the photographs (`colmap \
@@ -100,8 +100,7 @@ impl CameraModel {
         )
     }
 
-    /// COLMAP's name of a model that is none of these, or else its number, and its count of
-    /// parameters.
+    /// COLMAP's name of any other model, or else its number, and its parameter count.
     pub(super) fn unread_name(number: i32) -> (String, Option<u64>) {
         let known = Self::UNREAD.iter().find(|(id, ..)| *id == number);
         match known {
@@ -110,7 +109,7 @@ impl CameraModel {
         }
     }
 
-    /// The model of this name.
+    /// The model with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::NAMES.into_iter().find(|row| row.2.eq_ignore_ascii_case(name)).map(|row| row.0)
     }
@@ -124,21 +123,21 @@ impl CameraModel {
     }
 }
 
-/// A camera of a model that is not read.
+/// A camera of an unsupported model.
 #[derive(Debug)]
 pub(super) struct UnreadCamera {
     pub(super) id: u32,
-    /// Which model, and what to do about it.
+    /// Names the model, with advice.
     pub(super) reason: String,
 }
 
 /// A row of `cameras`.
 pub(super) type CameraRow = Result<ModelCamera, UnreadCamera>;
 
-/// Cameras that are read, and those that are not.
+/// The supported cameras, and the unsupported ones.
 ///
 /// # Errors
-/// [`PosesError::BadFile`] where there are some, and none is read.
+/// [`PosesError::BadFile`] if there are cameras and none is supported.
 pub(super) fn read_of(
     file: &Path,
     rows: Vec<CameraRow>,
@@ -167,7 +166,7 @@ impl ModelCamera {
     /// The lens this camera describes.
     pub fn lens(&self) -> Lens {
         let p = &self.params;
-        // One focal length, or one for each axis.
+        // One focal length, or one per axis.
         let (fx, fy, cx, cy) = match self.model.has_one_focal_length() {
             true => (p[0], p[0], p[1], p[2]),
             false => (p[0], p[1], p[2], p[3]),
@@ -197,7 +196,7 @@ impl ModelCamera {
     }
 
     /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE. COLMAP has no polynomial of
-    /// four terms; the fraction in its place differs by far less than a pixel within the picture.
+    /// four terms; the fraction used instead differs by far less than a pixel within the picture.
     pub fn of_lens(id: u32, lens: &Lens) -> Self {
         let k = &lens.intrinsics;
         let full = |[k1, k2, k3, k4, k5, k6]: [f64; 6], [p1, p2]: [f64; 2]| {

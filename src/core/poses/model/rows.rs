@@ -1,4 +1,4 @@
-//! What a sparse model holds.
+//! The contents of a sparse model.
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -9,7 +9,7 @@ use super::camera::{ModelCamera, UnreadCamera};
 use crate::camera::Camera;
 use crate::poses::{LeftOut, PosesError, SparsePoint};
 
-/// A model as it stands in a directory. Order of the files is kept.
+/// A model as stored in a directory, in file order.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SparseModel {
     /// Cameras (lenses with sensors), shared by images.
@@ -29,11 +29,11 @@ pub struct ModelImage {
     pub rotation: [f64; 4],
     /// World to camera.
     pub translation: [f64; 3],
-    /// Which camera.
+    /// Identifier of the camera.
     pub camera_id: u32,
     /// File name relative to the image directory.
     pub name: String,
-    /// Keypoints: x, y in px and the point they belong to.
+    /// Keypoints: x, y in px and the point that they belong to.
     pub keypoints: Vec<(f64, f64, Option<u64>)>,
 }
 
@@ -80,8 +80,8 @@ impl ModelImage {
 }
 
 impl SparseModel {
-    /// A model of posed images and coloured points that nobody matched: views with equal
-    /// intrinsics share a camera.
+    /// A model of posed images and coloured points without matches: views with equal intrinsics
+    /// share a camera.
     pub fn of_views(
         views: impl IntoIterator<Item = (String, Camera)>,
         points: impl IntoIterator<Item = ([f64; 3], [u8; 3])>,
@@ -115,7 +115,7 @@ impl SparseModel {
         camera.expect("checked when the model was read")
     }
 
-    /// Observations (members of tracks) over all points.
+    /// Observations (track members) over all points.
     pub fn observations(&self) -> usize {
         self.points.iter().map(|point| point.track.len()).sum()
     }
@@ -131,7 +131,7 @@ impl SparseModel {
         (!self.points.is_empty()).then(|| sum / self.points.len() as f64)
     }
 
-    /// Mean reprojection error of the points that the image of this name sees, px.
+    /// Mean reprojection error of the points that the image with this name sees, px.
     pub fn error_of(&self, name: &str) -> Option<f64> {
         let id = self.images.iter().find(|image| image.name == name)?.id;
         let sees = |point: &&ModelPoint| point.track.iter().any(|(image, _)| *image == id);
@@ -139,7 +139,7 @@ impl SparseModel {
         (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
     }
 
-    /// The points as the pipeline wants them.
+    /// The points in the pipeline's form.
     pub fn sparse_points(&self) -> Vec<SparsePoint> {
         let point = |p: &ModelPoint| SparsePoint {
             position: p.position,
@@ -150,8 +150,8 @@ impl SparseModel {
         self.points.iter().map(point).collect()
     }
 
-    /// Keeps the rows with finite numbers and sizes above zero and with cameras that are read, and
-    /// names the others.
+    /// Keeps the rows with finite numbers, sizes above zero and supported cameras, and names the
+    /// others.
     pub(super) fn keep_usable(
         &mut self,
         dir: &Path,

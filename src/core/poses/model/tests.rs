@@ -97,7 +97,7 @@ proptest! {
 }
 
 #[test]
-fn a_text_model_as_colmap_writes_it_is_understood() {
+fn a_text_model_in_colmaps_form_is_read() {
     let dir = tempfile::tempdir().unwrap();
     let save = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
     save(
@@ -141,7 +141,7 @@ fn an_image_without_its_camera_is_refused() {
     assert!(SparseModel::read(dir.path()).unwrap_err().to_string().contains("camera 9"));
 }
 
-/// A binary model with one PINHOLE camera before and one behind a camera of model `number` with so
+/// A binary model with one PINHOLE camera before and one after a camera of model `number` with this
 /// many parameters, and an image of each.
 fn model_with(dir: &Path, number: i32, parameters: usize) {
     let k = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
@@ -162,8 +162,8 @@ fn model_with(dir: &Path, number: i32, parameters: usize) {
 }
 
 #[test]
-fn of_a_binary_model_only_the_images_of_cameras_that_are_not_read_are_left_out() {
-    // All that COLMAP 4.1 has and we do not, then some of versions to come.
+fn a_binary_model_loses_only_images_of_unsupported_cameras() {
+    // All models that COLMAP 4.1 has and we do not, then some of future versions.
     for (number, parameters, name) in [
         (7, 5, "FOV"),
         (10, 12, "THIN_PRISM_FISHEYE"),
@@ -188,7 +188,7 @@ fn of_a_binary_model_only_the_images_of_cameras_that_are_not_read_are_left_out()
 }
 
 #[test]
-fn a_number_that_no_camera_model_can_have_is_refused() {
+fn an_impossible_camera_model_number_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     model_with(dir.path(), 1_000_000, 4);
     let error = SparseModel::read(dir.path()).unwrap_err().to_string();

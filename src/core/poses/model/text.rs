@@ -22,7 +22,7 @@ pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), Poses
     Ok((model, unread))
 }
 
-/// A line that is being taken apart, and where it stands for the error's sake.
+/// A line being parsed, with its location for errors.
 struct Fields<'a> {
     fields: SplitAsciiWhitespace<'a>,
     text: &'a str,
@@ -59,7 +59,7 @@ impl<'a> Fields<'a> {
         Ok(values)
     }
 
-    /// All that is left of the line as it stands: a name may hold blanks.
+    /// The rest of the line unchanged: a name may contain blanks.
     fn remainder(&self) -> &'a str {
         match self.fields.clone().next() {
             // `SplitAsciiWhitespace::remainder` is not stable yet.
@@ -70,7 +70,7 @@ impl<'a> Fields<'a> {
         }
     }
 
-    /// What is left, several values a row.
+    /// The rest of the line, several values per row.
     fn rest<T>(
         &mut self,
         row: impl Fn(&mut Self) -> Result<T, PosesError>,
@@ -116,7 +116,7 @@ fn camera(fields: &mut Fields<'_>) -> Result<CameraRow, PosesError> {
     Ok(Ok(ModelCamera { id, model, width, height, params }))
 }
 
-/// Two lines an image; the second, its keypoints, may be empty, and some leave it out.
+/// Two lines per image; the second, the keypoints, may be empty, and some programs omit it.
 fn images(file: &Path, cameras: &[u32]) -> Result<Vec<ModelImage>, PosesError> {
     let text = text::read(file)?;
     let mut lines = text.lines().enumerate().peekable();
@@ -160,8 +160,8 @@ fn image(fields: &mut Fields<'_>) -> Result<ModelImage, PosesError> {
     Ok(ModelImage { id, rotation, translation, camera_id, name, keypoints: Vec::new() })
 }
 
-/// Whether a line after an image's first is that of the next one: pixels make no unit quaternion
-/// before the number of a camera.
+/// Whether the line after an image's first line begins the next image: pixels are not a unit
+/// quaternion followed by a camera's number.
 fn begins_an_image(fields: &mut Fields<'_>, cameras: &[u32]) -> bool {
     image(fields).is_ok_and(|image| {
         let norm: f64 = image.rotation.iter().map(|q| q * q).sum();

@@ -45,12 +45,12 @@ impl Probed {
 /// One correction of the cameras.
 #[derive(Clone, Copy)]
 pub(in crate::reconstruct) struct Correction {
-    /// About how far away the scene is, world units.
+    /// Approximate distance of the scene, world units.
     pub(in crate::reconstruct) depth: f64,
     /// Degree of the harmonics.
     pub(in crate::reconstruct) degree: u32,
-    /// Whether renders of any size have half of that in training, for a quarter of the work: exact
-    /// enough where another correction follows.
+    /// Whether renders of any size have half of that in training, for a quarter of the work:
+    /// precise enough if another correction follows.
     pub(in crate::reconstruct) is_coarse: bool,
 }
 

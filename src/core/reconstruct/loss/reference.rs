@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_masked_has_no_part_in_the_loss() {
+    fn masked_pixels_do_not_affect_the_loss() {
         let (prediction, target) = (waves(0.71), waves(0.53));
         let kept: Vec<bool> = (0..WIDTH * HEIGHT).map(|i| i % WIDTH > 4).collect();
         let other = prediction.iter().zip(kept.iter().cycle());

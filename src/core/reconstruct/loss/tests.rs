@@ -76,7 +76,7 @@ fn the_kernels_match_the_reference_at_odd_sizes() {
     }
 }
 
-/// Holds neither the left quarter nor every seventh pixel.
+/// Includes neither the left quarter nor every seventh pixel.
 fn mask(width: usize, height: usize) -> Mask {
     let holds = |i: usize| 4 * (i % width) >= width && !i.is_multiple_of(7);
     Mask::new(width, height, (0..width * height).map(holds).collect())

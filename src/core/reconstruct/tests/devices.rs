@@ -1,4 +1,4 @@
-//! A GPU and the processor train the same scene, but for rounding.
+//! A GPU and the processor train the same scene, up to rounding.
 
 use super::*;
 use crate::shake::{ShakeKernel, Tap};

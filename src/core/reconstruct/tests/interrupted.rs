@@ -29,7 +29,7 @@ fn a_round_with_a_noise_field_resumes_to_the_same_bytes() {
 }
 
 fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig, stops: &[u32]) {
-    // The software driver of CI takes seconds for what the processor does in none.
+    // The software driver of CI takes seconds for work that the processor does instantly.
     for (device, stops) in [(gpu(), &stops[1..2]), (Device::Processor, stops)] {
         let undisturbed = trained_on(&device, views, start(views, scene, config), config);
         for &stop in stops {

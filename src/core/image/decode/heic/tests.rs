@@ -9,7 +9,7 @@ use super::super::{ImageError, read_header};
 use crate::image::exif::tests::block;
 use crate::image::{HdrTransfer, Image, Srgb};
 
-/// Red grows to the right, green downwards; bits per sample.
+/// Red increases to the right, green downwards; `bit_depth` is per sample.
 fn ramp(width: u32, height: u32, bit_depth: u8) -> heifer::Image {
     let top = (1_u32 << bit_depth) - 1;
     let mut picture = heifer::Image::filled(width, height, bit_depth, [0, 0, 0, top as u16]);
@@ -33,7 +33,7 @@ fn file(folder: &TempDir, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// The largest difference from the ramp, share of white. Chroma is coded at half the pixels.
+/// The largest difference from the ramp, as a share of white. Chroma has half the resolution.
 fn error(image: &Image<Srgb>) -> f32 {
     let (width, height) = (image.width(), image.height());
     let mut worst = 0.0_f32;
@@ -49,7 +49,7 @@ fn error(image: &Image<Srgb>) -> f32 {
 }
 
 #[test]
-fn a_phones_photograph_is_read_as_it_was_written_tiles_and_all() {
+fn a_phones_photograph_is_read_as_written_including_tiles() {
     let folder = TempDir::new().expect("folder");
     // Larger than a tile of the encoder, so this one is a grid.
     for (width, height, depth) in [(96, 64, 8), (700, 300, 8), (96, 64, 10)] {
@@ -76,7 +76,7 @@ fn ten_bits_stay_ten_bits() {
 }
 
 #[test]
-fn its_focal_length_is_that_of_its_exif_and_its_orientation_there_turns_nothing() {
+fn its_exif_focal_length_is_used_and_its_exif_orientation_ignored() {
     let folder = TempDir::new().expect("folder");
     let exif = block(&[
         (Tag::Orientation, Value::Short(vec![6])),
@@ -90,9 +90,9 @@ fn its_focal_length_is_that_of_its_exif_and_its_orientation_there_turns_nothing(
     assert!((focal - 26.0 / 43.266_615 * 96_f64.hypot(64.0)).abs() < 0.01);
 }
 
-/// The container's `irot` turns by quarters against the clock.
+/// The container's `irot` rotates by quarter turns anticlockwise.
 #[test]
-fn the_containers_turn_is_applied_once() {
+fn the_containers_rotation_is_applied_once() {
     let folder = TempDir::new().expect("folder");
     let mut bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
     let upright = Image::<Srgb>::load(&file(&folder, &bytes)).expect("loaded");
@@ -101,14 +101,14 @@ fn the_containers_turn_is_applied_once() {
     let header = read_header(&path).expect("header");
     assert_eq!((header.width, header.height), (64, 96));
     let turned = Image::<Srgb>::load(&path).expect("loaded");
-    // What was at the right of the first row is now at the top of the first column.
+    // The right end of the first row is now the top of the first column.
     for x in 0..96 {
         let (was, is) = (upright.plane(0)[x], turned.plane(0)[(95 - x) * 64]);
         assert!((was - is).abs() < 1e-6, "{x}: {was} and {is}");
     }
 }
 
-/// Makes the first `pixi` property, which decoders do without, into `irot` of a quarter.
+/// Changes the first `pixi` property, which decoders do not need, into an `irot` of a quarter turn.
 fn turn(bytes: &mut [u8]) {
     let at = bytes.windows(4).position(|window| window == b"pixi").expect("a pixi box");
     bytes[at..at + 4].copy_from_slice(b"irot");
@@ -116,7 +116,7 @@ fn turn(bytes: &mut [u8]) {
 }
 
 #[test]
-fn one_cut_short_or_with_another_codec_is_refused_with_a_reason() {
+fn a_truncated_file_or_another_codec_is_refused_with_a_reason() {
     let folder = TempDir::new().expect("folder");
     let whole = encoded(&ramp(96, 64, 8), &Metadata::default());
     for share in [0.1, 0.5, 0.9, 0.99] {
@@ -134,27 +134,27 @@ fn one_cut_short_or_with_another_codec_is_refused_with_a_reason() {
 }
 
 #[test]
-fn any_byte_may_be_wrong_without_harm() {
+fn any_wrong_byte_is_harmless() {
     let folder = TempDir::new().expect("folder");
     let whole = encoded(&ramp(96, 64, 8), &Metadata::default());
-    // The boxes, where sizes and counts lie, and a part of what is coded.
+    // The boxes, which contain the sizes and counts, and part of the coded data.
     for at in 0..whole.len().min(900) {
         for value in [0x00, 0x7f, 0xff] {
             let mut bytes = whole.clone();
             bytes[at] = value;
-            // Read or refused: neither a panic nor memory without end.
+            // Read or refused: no panic and no unbounded memory.
             let _ = Image::<Srgb>::load(&file(&folder, &bytes));
         }
     }
 }
 
-/// A grid is told by its item's data: version, flags, rows less one, columns less one, size.
+/// A grid is defined by its item's data: version, flags, rows less one, columns less one, size.
 #[test]
-fn a_grid_with_tiles_beside_the_picture_is_refused() {
+fn a_grid_with_tiles_outside_the_picture_is_refused() {
     let folder = TempDir::new().expect("folder");
     let whole = encoded(&ramp(700, 300, 8), &Metadata::default());
-    let told = [0, 0, 0, 1, 2, 188, 1, 44];
-    let at = whole.windows(8).position(|window| window == told);
+    let size_field = [0, 0, 0, 1, 2, 188, 1, 44];
+    let at = whole.windows(8).position(|window| window == size_field);
     let at = at.expect("one row of two tiles, 700 x 300");
     for wrong in [[0, 0, 255, 255, 2, 188, 1, 44], [0, 0, 0, 1, 0, 100, 1, 44]] {
         let mut bytes = whole.clone();
@@ -165,7 +165,7 @@ fn a_grid_with_tiles_beside_the_picture_is_refused() {
 }
 
 #[test]
-fn boxes_that_say_too_much_are_refused_before_they_are_read() {
+fn excessive_boxes_are_refused_before_they_are_read() {
     let folder = TempDir::new().expect("folder");
     let mut bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
     let at = bytes.windows(4).position(|window| window == b"meta");
@@ -175,19 +175,19 @@ fn boxes_that_say_too_much_are_refused_before_they_are_read() {
     assert!(error.to_string().contains("more pictures"), "{error}");
 }
 
-/// Of 16 px, 2 x 2 of them: 10, 203 and 1,000 nits of grey, and an orange of BT.2020 at the lower
+/// 16 px, in 2 x 2 blocks: 10, 203 and 1,000 nits of grey, and an orange of BT.2020 at the lower
 /// left, as tests/golden/photographs.py prints them.
 const LIGHT: [[f32; 3]; 4] = [[0.2466; 3], [0.8426; 3], [0.8185, 0.3646, 0.1437], [1.0; 3]];
 
 #[test]
-fn a_larger_range_becomes_srgb_as_that_of_videos_does() {
+fn a_larger_range_becomes_srgb_as_in_videos() {
     let folder = TempDir::new().expect("folder");
     let files: [(HdrTransfer, &[u8]); 2] = [
         (HdrTransfer::Pq, include_bytes!("../../../../../tests/golden/photographs/pq.heic")),
         (HdrTransfer::Hlg, include_bytes!("../../../../../tests/golden/photographs/hlg.heic")),
     ];
     for (transfer, bytes) in files {
-        // The stream says the same as the container, whose word goes first.
+        // The stream declares the same as the container, which takes precedence.
         let mut silent = bytes.to_vec();
         let at = silent.windows(8).position(|window| window == b"colrnclx").expect("a colour box");
         silent[at..at + 4].copy_from_slice(b"skip");
@@ -205,7 +205,7 @@ fn a_larger_range_becomes_srgb_as_that_of_videos_does() {
     }
 }
 
-/// Gives all colour boxes of a file these code points.
+/// Sets these code points in all colour boxes of a file.
 fn recoded(mut bytes: Vec<u8>, primaries: u8, transfer: u8, matrix: u8) -> Vec<u8> {
     let boxes = bytes.windows(8).enumerate().filter(|(_, window)| window == b"colrnclx");
     let boxes: Vec<usize> = boxes.map(|(at, _)| at + 8).collect();
@@ -217,7 +217,7 @@ fn recoded(mut bytes: Vec<u8>, primaries: u8, transfer: u8, matrix: u8) -> Vec<u
 }
 
 #[test]
-fn the_containers_word_on_a_larger_range_counts_in_eight_bits_and_grids_too() {
+fn the_containers_range_takes_precedence_in_eight_bits_and_grids_too() {
     let folder = TempDir::new().expect("folder");
     for (width, depth) in [(96, 8), (700, 8), (96, 10)] {
         let bytes = encoded(&ramp(width, 64, depth), &Metadata::default());
@@ -233,7 +233,7 @@ fn the_containers_word_on_a_larger_range_counts_in_eight_bits_and_grids_too() {
 }
 
 #[test]
-fn colours_by_a_matrix_that_is_not_read_are_refused() {
+fn colours_with_an_unsupported_matrix_are_refused() {
     let folder = TempDir::new().expect("folder");
     let bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
     for (matrix, is_read) in [(1, true), (6, true), (9, true), (8, false), (14, false)] {

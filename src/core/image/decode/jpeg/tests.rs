@@ -1,4 +1,4 @@
-//! Whole JPEGs of every kind, and damage inside them.
+//! Intact JPEGs of every kind, and damage inside them.
 
 use std::fs;
 
@@ -7,7 +7,7 @@ use rand_pcg::Pcg64;
 
 use crate::image::{Image, ImageError, Srgb};
 
-/// Of 160 x 120 px: made by tests/golden/photographs.py (Pillow).
+/// 160 x 120 px: made by tests/golden/photographs.py (Pillow).
 const SCENES: [&[u8]; 4] = [
     include_bytes!("../../../../../tests/golden/photographs/scene.jpg"),
     include_bytes!("../../../../../tests/golden/photographs/scene-restart.jpg"),
@@ -23,7 +23,7 @@ fn load(bytes: &[u8]) -> Result<Image<Srgb>, ImageError> {
     Image::load(&path)
 }
 
-/// Where the first scan's data begin.
+/// Offset of the first scan's data.
 fn first_scan(jpeg: &[u8]) -> usize {
     let marker = |pair: &[u8]| pair == [0xff, 0xda];
     let at = jpeg.windows(2).position(marker).expect("a scan");
@@ -31,7 +31,7 @@ fn first_scan(jpeg: &[u8]) -> usize {
 }
 
 #[test]
-fn bytes_behind_a_whole_picture_and_a_missing_end_do_no_harm() {
+fn bytes_after_a_complete_picture_and_a_missing_end_are_harmless() {
     for scene in SCENES {
         let truth = load(scene).expect("read");
         assert_eq!((truth.width(), truth.height()), (160, 120));
@@ -54,7 +54,7 @@ fn bytes_behind_a_whole_picture_and_a_missing_end_do_no_harm() {
 }
 
 #[test]
-fn a_scan_that_breaks_off_says_how_much_is_whole() {
+fn a_truncated_scan_reports_how_much_is_intact() {
     let scene = SCENES[0];
     let from = first_scan(scene);
     let half = from + (scene.len() - from) / 2;
@@ -67,7 +67,7 @@ fn a_scan_that_breaks_off_says_how_much_is_whole() {
     let lengthened = [&scene[..scene.len() - 2], &[0x55; 9], &[0xff, 0xd9]].concat();
     let error = load(&lengthened).expect_err("damaged").to_string();
     assert!(error.contains("out of place"), "{error}");
-    // Of a progressive one the first scan alone is a whole, coarse picture.
+    // In a progressive picture the first scan alone is a complete, coarse picture.
     let coarse = SCENES[2];
     let marker = |pair: &[u8]| pair == [0xff, 0xc4];
     let scan = first_scan(coarse);
@@ -78,7 +78,7 @@ fn a_scan_that_breaks_off_says_how_much_is_whole() {
 }
 
 #[test]
-fn rows_between_restart_markers_that_are_lost_or_out_of_place_are_found() {
+fn lost_or_misplaced_rows_between_restart_markers_are_found() {
     for scene in [SCENES[1], SCENES[3]] {
         let is_marker = |at: &usize| scene[*at] == 0xff && matches!(scene[at + 1], 0xd0..=0xd7);
         let markers: Vec<usize> = (first_scan(scene)..scene.len() - 1).filter(is_marker).collect();
@@ -106,7 +106,7 @@ fn blocks_darker_than_black_or_brighter_than_white_are_found() {
         let image = Image::<Srgb>::from_planar(64, 64, samples);
         let mut jpeg = image.encode(crate::image::EncodeFormat::Jpeg(90)).expect("encoded");
         assert!(load(&jpeg).is_ok(), "{value}");
-        // The step of each first coefficient of brightness.
+        // The quantisation step of each first luma coefficient.
         let marker = |pair: &[u8]| pair == [0xff, 0xdb];
         let step = jpeg.windows(2).position(marker).expect("steps") + 5;
         jpeg[step] *= 2;
@@ -115,7 +115,7 @@ fn blocks_darker_than_black_or_brighter_than_white_are_found() {
     }
 }
 
-/// Share of values that are off by more than 12 levels.
+/// Share of values that differ by more than 12 levels.
 fn off(a: &Image<Srgb>, b: &Image<Srgb>) -> f64 {
     let pairs = a.data().iter().zip(b.data());
     let off = pairs.filter(|(a, b)| (**a - **b).abs() > 12.0 / 255.0);
@@ -124,9 +124,9 @@ fn off(a: &Image<Srgb>, b: &Image<Srgb>) -> f64 {
 
 type Damage = (&'static str, f64, fn(&mut Vec<u8>, usize, &mut Pcg64));
 
-/// What disks, cables and programs do to a file, and how many of those that spoil more than 3 % of
-/// the picture must be found. A single bit may stand for another brightness of all that follows,
-/// which is found where that is darker than black or brighter than white.
+/// Damage by disks, cables and programs, and the share of cases that spoil more than 3 % of the
+/// picture that must be found. A single bit may change the brightness of everything after it, which
+/// is found only where that is darker than black or brighter than white.
 const DAMAGES: [Damage; 6] = [
     ("cut", 1.0, |bytes, at, _| bytes.truncate(at)),
     ("ended", 1.0, |bytes, at, _| {
@@ -171,7 +171,7 @@ fn damage_inside_a_scan_is_found_or_spoils_little() {
 }
 
 #[test]
-fn kinds_that_are_not_read_are_called_by_their_names() {
+fn unsupported_kinds_are_named() {
     let frame = |at: usize, value: u8| {
         let mut scene = SCENES[0].to_vec();
         let marker = |pair: &[u8]| pair == [0xff, 0xc0];
@@ -192,7 +192,7 @@ fn kinds_that_are_not_read_are_called_by_their_names() {
 }
 
 #[test]
-fn a_panorama_is_called_so_by_its_xmp_and_its_shape() {
+fn a_panorama_is_recognised_by_its_xmp_and_shape() {
     let xmp = |kind: &str| {
         let text = format!(
             "http://ns.adobe.com/xap/1.0/\0<x:xmpmeta xmlns:x='adobe:ns:meta/'><rdf:Description \
@@ -213,6 +213,6 @@ fn a_panorama_is_called_so_by_its_xmp_and_its_shape() {
     let panorama = picture(200, 100, "equirectangular").expect_err("a panorama");
     assert!(panorama.to_string().contains("360 degrees"), "{panorama}");
     assert!(picture(200, 100, "rectilinear").is_ok());
-    // A picture that was cut out of one, with its XMP.
+    // A crop of one, with its XMP.
     assert!(picture(160, 120, "equirectangular").is_ok());
 }
