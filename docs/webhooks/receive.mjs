@@ -4,10 +4,10 @@
 import { createHmac, timingSafeEqual } from "node:crypto";
 import { createServer } from "node:http";
 
-/** A signature that is older or newer may be one that somebody has recorded, seconds. */
+/** Tolerance of the timestamp, seconds; a request outside it may be a replay. */
 const TOLERANCE = 300;
 
-/** Whether who sent `body` with these headers knows the secret (`whsec_...`), and sent it just now. */
+/** Whether `body` was signed with the secret (`whsec_...`) according to these headers, just now. */
 export function genuine(secret, headers, body) {
   const sent = headers["webhook-timestamp"] ?? "";
   if (!/^\d+$/.test(sent) || Math.abs(Date.now() / 1000 - Number(sent)) > TOLERANCE) return false;

@@ -50,7 +50,7 @@ fn room(folder: &Path) -> Vec<(String, Camera)> {
     made.cameras
 }
 
-/// The photographs with a model in a world, and what rounds of so many steps make of them.
+/// The photographs with a model in a world, run with this many steps a round.
 fn run(
     folder: &Path,
     cameras: &[(String, Camera)],
@@ -106,7 +106,7 @@ fn apart(a: &Image, b: &Image) -> f32 {
     levels.fold(0.0, f32::max)
 }
 
-/// Largest distance of two cameras that should be one, as a share of the numbers that tell it.
+/// Largest difference of two cameras that should agree, as a share of their largest coordinate.
 fn astray(found: &Camera, given: &Camera) -> f64 {
     let largest = given.translation().abs().max_element();
     let off = found.world_to_camera - given.world_to_camera;

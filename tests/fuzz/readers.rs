@@ -1,6 +1,5 @@
-//! Readers of what strangers send, each given bytes as a fuzzer makes them up: none may panic,
-//! overflow, or take memory that the bytes do not stand for. What they say of the bytes is tested
-//! elsewhere.
+//! Readers of untrusted input, given bytes as a fuzzer makes them: none may panic, overflow, or
+//! take memory out of proportion to the bytes. Their results are tested elsewhere.
 
 use std::fs;
 use std::path::{Path, PathBuf};
