@@ -24,7 +24,7 @@ const BETA_M: f32 = 0.9;
 const BETA_V: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 // Largest standard deviation along the line of sight, as a share of the depth. EWA is linear about
-// the centre: a sheet that recedes farther, as a sky becomes, lies over the view as fog.
+// the centre: a sheet that recedes farther, like those of a sky, covers the view like fog.
 const DEEPEST: f32 = 0.25;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
