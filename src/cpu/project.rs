@@ -108,7 +108,7 @@ fn project_block<S: Simd>(
     let mean = each!([0, 1] n => {
         (flat.point[n] * flat.inverse_depth).mul_add(view.focal[n], splat(simd, view.centre[n]))
     });
-    // The exponent at which alpha falls to the cut, with a margin for rounding: spans only save work.
+    // The exponent at which alpha falls to the cut, with room for rounding: spans only save work.
     let limit = ln(shape.opacity.max(1e-12) * 255.0);
     let reach = limit.mul_add(2.000_2, splat(simd, 2e-3)).max(0.0);
     let [a, b, c] = flat.conic;
