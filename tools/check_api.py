@@ -1,4 +1,4 @@
-"""Holds a server to its description: random requests, right and wrong ones, against one whose jobs are played.
+"""Checks a server against its API description: random valid and invalid requests, with played jobs.
 
     .venv-api/bin/python tools/check_api.py target/release/fled-fake
 
@@ -20,12 +20,12 @@ import uuid
 import zlib
 from pathlib import Path
 
-# Requests made up for one operation, beside those that try every limit of its parameters.
+# Random requests per operation, besides those at the limits of its parameters.
 EXAMPLES = 15
 # Seconds for everything; some 30 are used.
 PATIENCE = 110
 SIDE = 96
-# A piece of an upload is bytes, whatever its type is called.
+# A piece of an upload is bytes, whatever its media type.
 HOOKS = """
 import schemathesis
 
@@ -36,7 +36,7 @@ hooks = "hooks.py"
 request-timeout = 20
 continue-on-failure = true
 
-# It would delete what the others ask about.
+# This phase would delete the objects of the others.
 [phases.stateful]
 enabled = false
 
@@ -44,24 +44,24 @@ enabled = false
 deterministic = true
 max-examples = {examples}
 
-# What the schema allows may still be no camera, no photograph or no option.
+# A value allowed by the schema may still be no camera, photograph or option.
 [checks.positive_data_acceptance]
 expected-statuses = ["2xx", "3xx", "404", "409", "422"]
 
-# It says that the machine lacks something by 503: that is its purpose.
+# A 503 reports what the machine lacks, as intended.
 [[operations]]
 include-operation-id = "ready"
 checks.not_a_server_error.enabled = false
 checks.positive_data_acceptance.enabled = false
 
-# Not every text is metadata, and nobody knows the address of an upload.
+# Not every text is valid metadata, and no request knows the address of an upload.
 [[operations]]
 include-operation-id = ["create_upload", "show_upload", "continue_upload", "delete_upload"]
 checks.positive_data_acceptance.expected-statuses = ["2xx", "400", "404", "409", "413", "422", "429", "507"]
 checks.negative_data_rejection.expected-statuses = ["400", "404", "409", "412", "413", "415", "422", "429", "507"]
 checks.missing_required_header.expected-statuses = ["400", "404", "412", "422"]
 
-# The protocol offers the same for every upload.
+# The protocol gives the same options for every upload.
 [[operations]]
 include-operation-id = "one_upload_options"
 checks.negative_data_rejection.enabled = false
@@ -111,10 +111,10 @@ def finished_job(base):
 
 
 def config(job):
-    """schemathesis.toml: the checks, and which job and capture to ask about."""
+    """schemathesis.toml: the checks, and the job and capture to request."""
     text = CONFIG.format(examples=EXAMPLES, job=job["id"])
     known = [(operation, job["id"]) for operation in OF_JOB] + [("show_capture", job["capture_id"])]
-    # Among what other answers tell are these two.
+    # Random ids, so that nothing requested by the others is deleted.
     known += [(operation, str(uuid.uuid4())) for operation in ("delete_job", "delete_capture")]
     for operation, name in known:
         text += f'\n[[operations]]\ninclude-operation-id = "{operation}"\nparameters = {{ "path.id" = "{name}" }}\n'

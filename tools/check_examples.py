@@ -1,4 +1,4 @@
-"""Holds the examples of openapi.yaml to the schemas that they are examples of.
+"""Checks the examples of openapi.yaml against their schemas.
 
     .venv-api/bin/python tools/check_examples.py openapi.yaml
 """
@@ -12,7 +12,7 @@ from openapi_spec_validator.readers import read_from_filename
 
 
 def faults(document):
-    """The faults, example by example. An example with the name of a schema is of that schema."""
+    """The faults of each example. An example named like a schema belongs to that schema."""
     parts = document["components"]
     for name, example in parts["examples"].items():
         if name in parts["schemas"]:

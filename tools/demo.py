@@ -1,4 +1,4 @@
-"""The whole product once: a dark capture, reconstructed by the service, shown under demo/.
+"""Runs the whole product: the service reconstructs a dark capture, with results in demo/.
 
     make demo
 
@@ -103,14 +103,14 @@ def zipped(folder):
 
 
 def drop_leftovers(service):
-    """Ends what an interrupted demo has left: the one worker would go on with it first."""
+    """Ends the jobs of an interrupted demo, which the single worker would run first."""
     for state in ("running", "queued"):
         for job in service.json(f"/v1/jobs?state={state}&limit=200")["jobs"]:
             service.call(urllib.request.Request(f"http://{service.address}/v1/jobs/{job['id']}/cancel", b""))
 
 
 def follow(service, job):
-    """Prints where the job stands until it ends."""
+    """Prints the job's state until it ends."""
     deadline, said, said_at = time.monotonic() + PATIENCE, None, 0.0
     while True:
         state = service.json(f"/v1/jobs/{job}")
@@ -172,7 +172,7 @@ def beside(pictures):
 
 
 def before_after(service, job, rounds, cameras):
-    """dark | round 1 | last round | ground truth, of a view that trained nothing."""
+    """dark | round 1 | last round | ground truth, of a held-out view."""
     held_out = [camera["name"] for camera in cameras if camera["split"] == "held_out"]
     view = (held_out or [camera["name"] for camera in cameras])[0]
     dark, truth = original(CAPTURE / "images", view), original(CAPTURE / "HL", view)
@@ -199,7 +199,7 @@ def main():
     if not arguments.fled.is_file():
         raise SystemExit(f"{arguments.fled} is missing: run `make build`")
     options = dict(pair.split("=", 1) for pair in arguments.set)
-    # The capture brings the true poses; finding them is part of the job.
+    # The capture includes true poses, but finding poses is part of the demo.
     options = {"pose_source": "colmap"} | {key: number(value) for key, value in options.items()}
     started = time.monotonic()
     FOLDER.mkdir(exist_ok=True)

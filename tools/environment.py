@@ -1,4 +1,4 @@
-"""Makes a Python environment that holds what a requirements file pins; does nothing when it does already.
+"""Makes a Python environment with the pinned packages of a requirements file, unless it has them already.
 
     python3 tools/environment.py [.venv [tools/requirements.txt]]
 
@@ -27,7 +27,7 @@ def pinned(requirements):
 
 
 def make(folder, requirements):
-    """The environment's Python. An environment that holds anything else is replaced."""
+    """The environment's Python. An environment with other packages is replaced."""
     stamp, python = folder / "installed", folder / "bin" / "python"
     wanted = "\n".join([sys.version, *pinned(requirements)]) + "\n"
     if stamp.is_file() and stamp.read_text() == wanted:

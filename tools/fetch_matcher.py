@@ -23,7 +23,7 @@ FOLDER = TOP / ".matcher"
 
 
 def complete(folder):
-    """Whether every file is there and is the pinned one."""
+    """Whether every file exists and is the pinned one."""
     paths = [(folder / name, checksum) for name, (_, checksum) in FILES.items()]
     return all(path.is_file() and pypi.checksum(path.read_bytes()) == checksum for path, checksum in paths)
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Checks fled on this machine's adapter: the kernels against their references, what they cost, and a whole job.
+# Checks fled on this machine's adapter: the kernels against their references, their cost, and a whole job.
 #
 #     gpu_check.sh [--quick] [--adapter NAME] [--folder DIR] [--out DIR] [-- ARGUMENTS OF `fled bench`]
 #
-# DIR is what tools/gpu_pack.py makes; by default the folder of this script. Nothing else is needed but a Vulkan driver,
-# bash and gzip. Results go to OUT, by default ./gpu-check-results: tests.txt, blending.txt, bench.txt, bench.json,
-# job.txt and the job's metrics.json. Every part runs whatever became of the others; the exit code is 0 when all went well. The tests of
-# the kernels take the best kind of adapter, whatever NAME says.
+# DIR is the output of tools/gpu_pack.py, by default the folder of this script. Only a Vulkan driver, bash and gzip are
+# needed. Results go to OUT, by default ./gpu-check-results: tests.txt, blending.txt, bench.txt, bench.json, job.txt and
+# the job's metrics.json. Every part runs even if others fail; the exit code is 0 if all succeed. The kernel tests take
+# the best kind of adapter, ignoring NAME.
 set -uo pipefail
 
 folder=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -37,7 +37,7 @@ done
 export ORT_DYLIB_PATH=$work/libonnxruntime.so
 
 failed=()
-# part NAME FILE COMMAND...: everything the command says goes to the file.
+# part NAME FILE COMMAND...: the command's output goes to the file.
 part() {
     local name=$1 file=$2 begun=$SECONDS
     shift 2
@@ -51,7 +51,7 @@ part() {
     fi
 }
 
-# The modules whose tests run kernels. Other tests look for files of the repository. A quick check leaves out whole
+# The modules whose tests run kernels. Other tests need files of the repository. A quick check leaves out whole
 # trainings.
 kernels() {
     local modules=(splat:: noise:: shake:: render:: reconstruct::loss reconstruct::optimizer)
@@ -60,7 +60,7 @@ kernels() {
         "$work/fled-lab-tests" "bench::${quick:+roofline}"
 }
 
-# Which of the blending kernels is the fastest here; `Specialisation::for_adapter` has the choice.
+# Compares the speed of the blending kernels; `Specialisation::for_adapter` has the choice.
 blending() {
     "$work/fled-core-tests" --ignored --nocapture blending_times
 }
@@ -69,7 +69,7 @@ measure() {
     "$work/fled" bench ${quick:+--quick} --adapter "$adapter" --json "$out/bench.json" ${bench[@]+"${bench[@]}"}
 }
 
-# The capture brings its poses: COLMAP is not asked for them, and its absence costs points alone.
+# The capture includes its poses, so COLMAP only adds points, and its absence costs only those.
 job() {
     local short=()
     [[ $quick ]] && short=(--set steps=200 --set cap=2000 --set rounds=1)

@@ -1,9 +1,9 @@
-"""Packs what a machine needs to be checked by tools/gpu_check.sh into gpu-check/ at the top of the repository.
+"""Packs everything that tools/gpu_check.sh needs on a machine into gpu-check/ at the top of the repository.
 
     python3 tools/gpu_pack.py
 
-That is the program, the kernel tests, ONNX Runtime's library, a small capture with its poses, and the script itself.
-Whoever unpacks it needs a Vulkan driver, bash and gzip: no Rust, no Python, no network, no repository.
+The pack has the program, the kernel tests, ONNX Runtime's library, a small capture with its poses, and the script.
+It needs a Vulkan driver, bash and gzip: no Rust, no Python, no network, no repository.
 """
 
 import gzip
@@ -20,9 +20,9 @@ FOLDER = TOP / "gpu-check"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # Crates whose tests run kernels.
 TESTED = ("fled-core", "fled-gpu", "fled-lab")
-# Some ways to such a machine carry no more.
+# Some ways to copy files to such a machine have this limit.
 MOST_BYTES = 60_000_000
-# Dark, a little shaken, and small: the job is to show that everything runs.
+# Dark, a little shaken, and small; the job only shows that everything runs.
 CAPTURE = ("--views", "12", "--size", "320x180", "--blur", "4", "--seed", "1")
 
 
@@ -50,7 +50,7 @@ def build():
     """The program and the tests."""
     cargo = os.environ.get("CARGO", "cargo")
     subprocess.run([cargo, "build", "--release", "--locked", "-p", "fled"], cwd=TOP, check=True)
-    # As `make test` builds them: with `-p`, crates have other features and are built once more.
+    # The build of `make test`: with `-p`, crates have other features and are built again.
     command = [cargo, "test", "--no-run", "--release", "--locked", "--workspace", "--lib"]
     command.append("--message-format=json")
     output = subprocess.run(command, cwd=TOP, check=True, stdout=subprocess.PIPE, text=True).stdout

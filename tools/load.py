@@ -1,4 +1,4 @@
-"""How the service answers while a job trains: a table for docs/results.md.
+"""Measures the service's response times while a job trains: a table for docs/results.md.
 
     tools/load.py CAPTURE
 
@@ -24,9 +24,9 @@ from pathlib import Path
 
 TOP = Path(__file__).resolve().parent.parent
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png"}
-# Between two requests, seconds: a person with many windows.
+# Pause between two requests, seconds, like a user with many windows.
 PAUSE = 0.02
-# A job that is not over when all is measured: a real one that trains, and a played one.
+# Jobs that outlast the measurements: a real one that trains, and a played one.
 ORDER = {"preset": "preview", "options": {"rounds": 1, "steps": 100_000}}
 PLAYED = {"preset": "preview", "options": {"adapter": "slow:2500"}}
 PATIENCE = 600
@@ -83,7 +83,7 @@ class Service:
         return json.loads(content) if content.startswith((b"{", b"[")) else content
 
     def memory(self):
-        """The most that the server's own process has ever held, bytes."""
+        """Peak memory of the server's own process, bytes."""
         return memory_of(self.process.pid, "VmHWM")
 
 
@@ -97,7 +97,7 @@ def memory_of(pid, field):
 
 
 def children(pid):
-    """The processes that it has started."""
+    """The server's child processes."""
     with contextlib.suppress(OSError):
         return [int(child) for task in Path(f"/proc/{pid}/task").iterdir()
                 for child in (task / "children").read_text().split()]
@@ -105,13 +105,13 @@ def children(pid):
 
 
 def share(values, part):
-    """The least value that so large a part of all values does not pass."""
+    """The quantile: the least value that this share of the values does not exceed."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(part * len(ordered)))]
 
 
 class Asking(threading.Thread):
-    """Asks for a job and for the list, one after the other, until it is stopped."""
+    """Requests a job and the list in turn until stopped."""
 
     def __init__(self, service, paths):
         super().__init__(daemon=True)
@@ -138,7 +138,7 @@ class Asking(threading.Thread):
 
 
 def asked(service, paths, work):
-    """What the requests took, seconds by path, while `work` was done; and what that gave."""
+    """Seconds per request, by path, while `work` ran; and its result."""
     asking = Asking(service, paths)
     asking.start()
     done = work()
@@ -170,7 +170,7 @@ class Streams:
                 self.events[key.fileobj] += piece.count(b"\nid:") + piece.startswith(b"id:")
 
     def stop(self):
-        """The fewest and the most events that a stream has had."""
+        """The fewest and the most events of a stream."""
         self.over = True
         self.thread.join()
         for stream in self.events:
@@ -179,7 +179,7 @@ class Streams:
 
 
 def parts(photographs, total):
-    """Heads and contents of a form, and how much of nothing follows each content, bytes."""
+    """Heads and contents of a form, and the padding after each content, bytes."""
     each = total // len(photographs)
     for path in photographs:
         name = path.name.encode()
@@ -189,8 +189,8 @@ def parts(photographs, total):
 
 
 def upload(service, photographs, total):
-    """Sends so many bytes: seconds until they are sent, until the answer, the most that the server and whoever it
-    started for it held, bytes."""
+    """Sends `total` bytes. Returns the seconds until they are sent and until the answer, and the peak memory of the
+    server and its children, bytes."""
     form = list(parts(photographs, total))
     end = b"--" + BOUNDARY + b"--\r\n"
     length = sum(len(head) + len(content) + rest + 2 for head, content, rest in form) + len(end)
@@ -253,7 +253,7 @@ def begin_job(service, photographs):
 
 
 def row(name, times):
-    """A row of the table: the middle, p99 and the longest of the requests, ms."""
+    """A row of the table: median, p99 and maximum of the requests, ms."""
     cells = []
     for values in times.values():
         ms = [1000 * value for value in values]

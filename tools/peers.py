@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""scene.ply before judges that are not ours: splat-transform reads it, and the published formulas render it.
+"""Checks scene.ply independently: splat-transform reads it, and the published formulas render it.
 
     make test-peers
 
@@ -22,18 +22,18 @@ import plyfile
 TOP = Path(__file__).resolve().parent.parent
 FOLDER, TRAINING = TOP / ".peers", TOP / "training"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
-# The newest that runs on Node 18, which is Debian 12's.
+# The newest version that runs on Node 18, the version of Debian 12.
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
 SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5", "--blur", "2", "--noise", "0.005"]
 OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off", "pose_source=given"]
-# What a compressed scene may be off by: a step of an opacity, half a step of a harmonic. The ends of the rest are exact.
+# Tolerance of a compressed scene: a step of an opacity, half a step of a harmonic. The bounds of the rest are exact.
 SLACK = {"opacity": 0.004, "f_rest_": 0.0157}
-# The summary has six digits, or six decimals: half of the last one, as a share and as a number.
+# The summary has six digits or six decimals: half of the last one, relative and absolute.
 ROUNDING = 5.1e-6, 5.1e-7
 
 
 def run(command, log=None, **options):
-    """Runs a command to its end; when it fails, so do we, with its last words."""
+    """Runs a command; exits with the end of its output if it fails."""
     command = [str(word) for word in command]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **options)
     text = done.stdout.decode(errors="replace")
@@ -50,7 +50,7 @@ def said(*words):
 
 
 def install_splat_transform():
-    """The command, from npm. Its install scripts are not run: they fetch a WebGPU library that reading does not need."""
+    """Installs the command from npm, without its install scripts: they fetch a WebGPU library that reading does not use."""
     folder = FOLDER / "npm"
     stamp, program = folder / "installed", folder / "node_modules" / ".bin" / "splat-transform"
     if not (stamp.is_file() and stamp.read_text() == SPLAT_TRANSFORM):
@@ -65,7 +65,7 @@ def install_splat_transform():
 
 
 def train(fled):
-    """A run's folder with a scene of a few thousand Gaussians, made anew each time; and what the run says of it."""
+    """The folder of a new run with a scene of a few thousand Gaussians, and the run's report."""
     capture, out = FOLDER / "capture", FOLDER / "trained"
     for folder in (capture, out):
         shutil.rmtree(folder, ignore_errors=True)
@@ -89,7 +89,7 @@ def render(fled, folder):
 
 
 def own_bounds(path):
-    """How many vertices our PLY has, and the least and greatest of each property, as splat-transform shows them."""
+    """The number of vertices of our PLY, and each property's bounds, in the units of splat-transform."""
     vertices = plyfile.PlyData.read(path)["vertex"].data
     bounds = {}
     for name in vertices.dtype.names:
@@ -99,7 +99,7 @@ def own_bounds(path):
 
 
 def shown(name, value):
-    """A stored value as what it means: opacities are logits, scales logarithms, colours harmonics of degree 0."""
+    """A stored value decoded: opacities are logits, scales logarithms, colours harmonics of degree 0."""
     if name == "opacity":
         return 1 / (1 + math.exp(-value))
     if name.startswith("scale_"):
@@ -122,7 +122,7 @@ def read_summary(text):
 
 
 def objections(theirs, count, bounds, slack=()):
-    """Where a summary differs from a count and bounds, a line each; by more than a slack, where a property has one."""
+    """Differences of a summary from a count and bounds, one per line; a property may have a tolerance."""
     their_count, columns = theirs
     lines = [] if their_count == count else [f"{their_count} Gaussians, we count {count}"]
     if list(columns) != list(bounds):
@@ -139,7 +139,7 @@ def objections(theirs, count, bounds, slack=()):
 
 
 def judge_by_splat_transform(program, folder, count):
-    """Count and bounds as splat-transform reads them, against the run's count and the file's own numbers."""
+    """Compares count and bounds read by splat-transform with the run's count and the file's numbers."""
     scene = folder / "scene.ply"
     in_file, bounds = own_bounds(scene)
     if in_file != count:
@@ -153,12 +153,12 @@ def judge_by_splat_transform(program, folder, count):
 
 
 def judge_compressed(program, fled, folder, count):
-    """The compressed scene as splat-transform reads it, against the numbers of the scene itself."""
+    """Compares the compressed scene read by splat-transform with the numbers of the scene."""
     small = folder.with_name(folder.name + ".compressed.ply")
     run([fled, "export", folder, "scene.compressed.ply", "-o", small])
     bounds = {}
     for name, ends in own_bounds(folder / "scene.ply")[1].items():
-        # Normals mean nothing, and a rotation is that of its negative, too.
+        # Normals have no meaning, and a quaternion and its negative are the same rotation.
         if not name.startswith(("n", "rot_")):
             most = 4 if name.startswith("f_rest_") else math.inf
             bounds[name] = tuple(max(-most, min(most, end)) for end in ends)

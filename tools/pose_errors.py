@@ -1,4 +1,4 @@
-"""How far estimated cameras are from true ones, view by view, after the similarity that makes most of them good."""
+"""Errors of estimated cameras, per view, after the similarity that makes most of them good."""
 
 import itertools
 import math
@@ -51,7 +51,7 @@ def fitted(estimated, true):
 
 
 def by_pair(estimated, true, first, second):
-    """The similarity that puts two cameras where they belong, the first as it is turned."""
+    """The similarity that aligns the positions of two cameras and the rotation of the first."""
     turn = true[first][0].T @ estimated[first][0]
     apart = np.linalg.norm(estimated[second][1] - estimated[first][1])
     scale = np.linalg.norm(true[second][1] - true[first][1]) / max(apart, 1e-12)
@@ -59,7 +59,7 @@ def by_pair(estimated, true, first, second):
 
 
 def errors(estimated, true, names, similarity, extent):
-    """(share of the extent, degrees) a view."""
+    """(share of the extent, degrees) per view."""
     scale, turn, shift = similarity
     found = []
     for name in names:
@@ -71,7 +71,7 @@ def errors(estimated, true, names, similarity, extent):
 
 
 def judged(estimated, true):
-    """{name: (share, degrees)} of the estimated views, by the similarity under which most are good."""
+    """{name: (share, degrees)} of the estimated views, by the similarity that makes most good."""
     names = sorted(set(estimated) & set(true))
     if len(names) < 2:
         return dict.fromkeys(names, (math.inf, 180.0))

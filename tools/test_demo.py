@@ -1,4 +1,4 @@
-"""Tests of demo.py: its picture, and what it reads of its arguments."""
+"""Tests of demo.py: its picture, and its arguments."""
 
 import unittest
 

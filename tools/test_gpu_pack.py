@@ -1,4 +1,4 @@
-"""Tests of gpu_pack.py: which of cargo's products are the tests."""
+"""Tests of gpu_pack.py: how it finds the tests in cargo's output."""
 
 import json
 import unittest

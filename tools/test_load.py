@@ -1,4 +1,4 @@
-"""Tests of load.py: what it makes of its measurements, and the form that it sends."""
+"""Tests of load.py: its statistics, and the form that it sends."""
 
 import tempfile
 import unittest

@@ -9,7 +9,7 @@ TOP = Path(__file__).resolve().parent.parent
 
 
 def commands(text):
-    """What a Makefile declares as commands."""
+    """The commands declared in a Makefile."""
     declared = re.findall(r"^\.PHONY:(.*)", text.replace("\\\n", " "), re.MULTILINE)
     return " ".join(declared).split()
 

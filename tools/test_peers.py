@@ -1,4 +1,4 @@
-"""Tests of peers.py: what is read of scene.ply and of a summary, and what differs."""
+"""Tests of peers.py: reading scene.ply and a summary, and their differences."""
 
 import math
 import struct

@@ -1,4 +1,4 @@
-"""Tests of poses.py and pose_errors.py on made-up cameras."""
+"""Tests of poses.py and pose_errors.py on synthetic cameras."""
 
 import contextlib
 import io
@@ -121,7 +121,7 @@ class Runs(unittest.TestCase):
             true = ring(6)
             sparse = top / "sharp" / "room" / "sparse"
             sparse.mkdir(parents=True)
-            # The tool looks only at names here: one pose for all would do, were they judged.
+            # The tool reads only names here.
             sparse.joinpath("images.txt").write_text("")
             cell = top / "room-1"
             (cell / "images").mkdir(parents=True)

@@ -1,5 +1,5 @@
-// The scene of one job for a frame in another page: `/embed#JOB/SECRET`, without the secret where
-// the server needs no tokens. A browser keeps cookies from such a frame.
+// The scene of one job for a frame in another page: `/embed#JOB/SECRET`, without the secret if
+// the server needs no tokens. Browsers withhold cookies from such a frame.
 
 import { api, h } from "./lib/dom.js";
 import { scenePanel } from "./scene/panel.js";

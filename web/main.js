@@ -1,6 +1,5 @@
-// Chooses the page by the address behind `#` and keeps one page alive at a time. The list of jobs
-// is what is opened first; the modules of the other pages follow once it is there, or are loaded
-// when their page is opened.
+// Chooses the page by the address after `#` and keeps one page alive at a time. The list of jobs
+// opens first; the modules of the other pages load after it, or when their page is opened.
 
 import { nothing } from "./lib/dom.js";
 import { listPage } from "./pages/list.js";
@@ -14,7 +13,7 @@ const pages = document.getElementById("pages");
 const workers = document.getElementById("workers");
 const none = () => {};
 let leave = none;
-/** Pages opened so far: what was loaded for an earlier one is not shown. */
+/** Pages opened so far; a result loaded for an earlier one is not shown. */
 let opened = 0;
 let isLockedOut = false;
 /**
@@ -24,7 +23,7 @@ let isLockedOut = false;
 let who = { needed: false, scopes: null, job: null };
 
 /**
- * A page: shows itself, given what the address names, and returns what ends it.
+ * A page: shows itself, given the parts of the address, and returns a function that ends it.
  * @typedef {(main: HTMLElement, ...found: string[]) => () => void} Page
  */
 
@@ -39,8 +38,7 @@ async function loadJob() {
 const loadCapture = async () => (await import("./pages/capture.js")).capturePage;
 
 /**
- * Pages by address: what loads each, and the module with its page. What is in brackets goes to the
- * page.
+ * Pages by address: the loader of each, and the module of its page. Captured groups go to the page.
  * @type {[RegExp, () => Promise<Page>, string?][]}
  */
 const ROUTES = [
@@ -57,7 +55,7 @@ const ROUTES = [
   [/^#\/api$/, async () => (await import("./pages/reference.js")).referencePage, "pages/reference.js"],
 ];
 
-/** Fetches what the page of `module` imports, all at once; without a module, what all pages do. */
+/** Fetches the imports of the page of `module`, or those of all pages, in parallel. */
 function preload(module) {
   for (const link of /** @type {NodeListOf<HTMLLinkElement>} */ (document.querySelectorAll("link[data-of]"))) {
     if (module === undefined || link.dataset.of.split(" ").includes(module)) link.rel = "modulepreload";
@@ -86,7 +84,7 @@ function route() {
     // A visitor by a link to a job sees that job at every address.
     show(loadJob, "job/job.js", [who.job]);
   } else {
-    // The part behind `?` is the page's own.
+    // The part after `?` belongs to the page.
     const [path] = location.hash.split("?");
     const [pattern, load, module] = ROUTES.find(([pattern]) => pattern.test(path)) ?? [];
     if (load) show(load, module, path.match(pattern).slice(1));
@@ -114,7 +112,7 @@ async function show(load, module, found) {
   setTimeout(preload, REST_MS);
 }
 
-/** Finds out whether this browser may look at anything. */
+/** Finds out whether this browser may see anything. */
 async function look() {
   try {
     who = await session();
@@ -132,7 +130,7 @@ async function enter() {
   linkWorkers();
 }
 
-/** The workers' page has a link where there are any, for those who may see them. */
+/** Links the page of workers if there are any and the session may see them. */
 async function linkWorkers() {
   const asking = who;
   try {
@@ -143,7 +141,7 @@ async function linkWorkers() {
   }
 }
 
-/** Sessions end, and become others in another tab, while a page is open. */
+/** Checks the session, which may end, or change in another tab, while a page is open. */
 async function stay() {
   if (link(location.hash)) return;
   const before = `${isLockedOut} ${who.scopes} ${who.job}`;
@@ -157,9 +155,9 @@ logout.addEventListener("click", async () => {
   enter();
 });
 
-/** So often the page looks whether the server is there, and waits so long: it says so within 5 s. */
+/** Interval and timeout of the server check, so that an outage shows within 5 s. */
 const ALIVE_MS = 2400;
-/** So long after a page is shown, the modules of the others follow. */
+/** Delay after showing a page before the modules of the others load. */
 const REST_MS = 1500;
 const place = document.getElementById("health");
 let isThere = true;
@@ -194,7 +192,7 @@ async function health() {
   }
 }
 
-// A file that is dropped where no page takes it would be opened in the page's place.
+// Without this, a file dropped outside a form would replace the page.
 for (const name of /** @type {const} */ (["dragover", "drop"])) {
   addEventListener(name, (event) => {
     if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;

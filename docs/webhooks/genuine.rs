@@ -1,16 +1,15 @@
-// What a program of yours in Rust takes over. Needs `base64`, `hmac` 0.12 and `sha2` 0.10.
+// Code for your own Rust program. Needs `base64`, `hmac` 0.12 and `sha2` 0.10.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use hmac::{Hmac, Mac as _};
 use sha2::Sha256;
 
-/// A signature that is older or newer may be one that somebody has recorded, seconds.
+/// Tolerance of the timestamp, seconds; a request outside it may be a replay.
 const TOLERANCE: u64 = 300;
 
-/// Whether who sent `body` with the headers `webhook-id`, `webhook-timestamp` and
-/// `webhook-signature` knows the secret (`whsec_...`), and sent it just now; `now` in seconds
-/// since 1970.
+/// Whether `body` was signed with the secret (`whsec_...`) according to the headers `webhook-id`,
+/// `webhook-timestamp` and `webhook-signature`, and sent just now; `now` in seconds since 1970.
 pub fn genuine(secret: &str, headers: [&str; 3], body: &[u8], now: i64) -> bool {
     let [id, sent, signatures] = headers;
     let is_now = sent.parse().is_ok_and(|sent: i64| now.abs_diff(sent) <= TOLERANCE);

@@ -1,13 +1,13 @@
 // Receives fled's webhooks: `FLED_WEBHOOK_SECRET=whsec_... node receive.mjs PORT` prints each that
-// is genuine. Needs Node alone. `genuine` is what a program of yours takes over.
+// is genuine. Needs only Node. Copy `genuine` into your own program.
 
 import { createHmac, timingSafeEqual } from "node:crypto";
 import { createServer } from "node:http";
 
-/** A signature that is older or newer may be one that somebody has recorded, seconds. */
+/** Tolerance of the timestamp, seconds; a request outside it may be a replay. */
 const TOLERANCE = 300;
 
-/** Whether who sent `body` with these headers knows the secret (`whsec_...`), and sent it just now. */
+/** Whether `body` was signed with the secret (`whsec_...`) according to these headers, just now. */
 export function genuine(secret, headers, body) {
   const sent = headers["webhook-timestamp"] ?? "";
   if (!/^\d+$/.test(sent) || Math.abs(Date.now() / 1000 - Number(sent)) > TOLERANCE) return false;
@@ -28,12 +28,12 @@ async function receive(request, response) {
     response.writeHead(401).end();
     return;
   }
-  // The same webhook-id may come twice: what must happen once keeps a list of them.
+  // The same webhook-id may arrive twice: keep a list of them if an action must happen once.
   const event = JSON.parse(body);
   console.log(request.headers["webhook-id"], event.type, JSON.stringify(event.data));
   response.writeHead(204).end();
 }
 
-// Who hangs up in the middle has sent nothing.
+// Ignore a request that is cut off.
 const server = createServer((request, response) => receive(request, response).catch(() => response.destroy()));
 server.listen(Number(process.argv[2]), "127.0.0.1");

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Receives fled's webhooks: `FLED_WEBHOOK_SECRET=whsec_... receive.py PORT` prints each that is genuine.
 
-Needs Python alone. `genuine` is what a program of yours takes over.
+Needs only Python. Copy `genuine` into your own program.
 """
 
 import base64
@@ -13,12 +13,12 @@ import sys
 import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
-# A signature that is older or newer may be one that somebody has recorded, seconds.
+# Tolerance of the timestamp, seconds; a request outside it may be a replay.
 TOLERANCE = 300
 
 
 def genuine(secret: str, headers, body: bytes) -> bool:
-    """Whether who sent `body` with these headers knows the secret (`whsec_...`), and sent it just now."""
+    """Whether `body` was signed with the secret (`whsec_...`) according to these headers, just now."""
     message, sent = headers.get("webhook-id", ""), headers.get("webhook-timestamp", "")
     if not sent.isdecimal() or abs(time.time() - int(sent)) > TOLERANCE:
         return False
@@ -35,7 +35,7 @@ class Receiver(BaseHTTPRequestHandler):
         if not genuine(os.environ["FLED_WEBHOOK_SECRET"], self.headers, body):
             self.send_error(401)
             return
-        # The same webhook-id may come twice: what must happen once keeps a list of them.
+        # The same webhook-id may arrive twice: keep a list of them if an action must happen once.
         event = json.loads(body)
         print(self.headers["webhook-id"], event["type"], json.dumps(event["data"]), flush=True)
         self.send_response(204)

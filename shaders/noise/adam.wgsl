@@ -17,7 +17,7 @@ struct AdamUniform {
     // Parts of the gradient, and vec4s of parameters.
     segments: u32,
     parameters: u32,
-    // Where the number of intersections stands, and the most that fit.
+    // Index of the number of intersections, and the capacity.
     total_at: u32,
     capacity: u32,
     padding: u32,
@@ -42,7 +42,7 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = flat_workgroup(workgroup, workgroups) * WIDTH + local;
-    // A render of a part of the intersections teaches nothing; the step is repeated.
+    // A render of only some intersections gives no valid gradient; the step is repeated.
     if index >= adam.parameters || intersections[adam.total_at] > adam.capacity {
         return;
     }

@@ -1,4 +1,4 @@
-// The camera of one view, as every kernel that projects or tiles sees it.
+// The camera of one view, for every kernel that projects or tiles.
 // 128 bytes; the Rust side is `CameraUniform` in src/core/splat/uniform.rs.
 
 const TILE: u32 = 16u;
@@ -18,7 +18,7 @@ struct CameraUniform {
     position: vec3<f32>,
     // Active degree of the spherical harmonics.
     sh_degree: u32,
-    // What shines through where the splats leave room.
+    // Colour of the background, seen where the splats are transparent.
     background: vec3<f32>,
     // Number of Gaussians.
     count: u32,

@@ -1,6 +1,6 @@
-// How a Gaussian lies in `geometry` (three vectors a row) and `sh` (camera.sh_row vectors a row:
-// red, green and blue of each coefficient one after the other, filled up with zeros). Needs
-// `camera`, and both arrays.
+// Layout of a Gaussian in `geometry` (three vectors a row) and `sh` (camera.sh_row vectors a row:
+// red, green and blue of each coefficient in turn, padded with zeros). Needs `camera`, and both
+// arrays.
 #import shared/harmonics.wgsl
 #import shared/projection.wgsl
 

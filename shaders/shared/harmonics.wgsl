@@ -1,4 +1,4 @@
-// Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the meaning is
+// Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the reference is
 // src/core/splat/reference/harmonics.rs.
 
 const SH0: f32 = 0.28209479;

@@ -1,4 +1,4 @@
-// What both kernels of the training loss share: sizes, the Gaussian window, the packed target.
+// Shared by both kernels of the training loss: sizes, the Gaussian window, the packed target.
 // An invocation owns COLUMNS neighbouring columns over `run` rows of one channel; it walks down
 // them and keeps ten partial sums a column, so each row is read and blurred horizontally once.
 
@@ -34,14 +34,14 @@ struct LossUniform {
     values: u32,
 }
 
-// The part of the image that an invocation owns.
+// The part of the image owned by an invocation.
 struct Block {
     // First column and row.
     x: u32,
     y: u32,
     // Index of the channel's first value in a planar image.
     plane: u32,
-    // Whether there is anything to do.
+    // Whether the part is not empty.
     valid: bool,
 }
 
@@ -53,8 +53,8 @@ fn block_of(invocation: u32, size: LossUniform) -> Block {
         channel < 3u);
 }
 
-// The value at an index of a packed planar image, of whose words `word` holds this one: the even
-// index in the lower half.
+// The value at an index of a packed planar image, from the `word` that holds it: an even index is
+// in the lower half.
 fn unpacked(word: u32, index: u32) -> f32 {
     let pair = unpack2x16unorm(word);
     return select(pair.x, pair.y, (index & 1u) == 1u);

@@ -1,4 +1,4 @@
-// What the kernels of the noise field share.
+// Shared by the kernels of the noise field.
 
 struct NoiseUniform {
     // Rows of the rotation from world to camera.
@@ -46,7 +46,7 @@ struct LayerUniform {
     padding: u32,
 }
 
-// The noise that an output of the network means.
+// The noise for an output of the network.
 fn noise_of(raw: vec4<f32>, amplitude: f32) -> vec3<f32> {
     return amplitude / (1.0 + exp(-raw.xyz));
 }

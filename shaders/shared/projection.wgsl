@@ -1,5 +1,5 @@
-// The projection of one Gaussian (EWA splatting), up to its 2-D covariance: what the forward and
-// the backward kernels share. The meaning is src/core/splat/reference/projection.rs.
+// The projection of one Gaussian (EWA splatting), up to its 2-D covariance, shared by the forward
+// and the backward kernels. The reference is src/core/splat/reference/projection.rs.
 #import shared/camera.wgsl
 
 const LOW_PASS: f32 = 0.3;
@@ -17,7 +17,7 @@ struct Geometry {
     logit: f32,
 }
 
-// What does not depend on the camera.
+// The part that does not depend on the camera.
 struct Shape {
     unit_quat: vec4<f32>,
     quat_norm: f32,

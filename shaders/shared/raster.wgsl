@@ -1,5 +1,5 @@
-// What blending and its backward share, so that both take identical decisions: the pixels of an
-// invocation, what they need of a splat, and alpha.
+// Shared by blending and its backward, so that both take identical decisions: the pixels of an
+// invocation, the data of a splat, and alpha.
 #import shared/tiles.wgsl
 
 // Consecutive pixels of a row that one invocation owns as one vector, and invocations of a tile's
@@ -12,7 +12,7 @@ const TRANSMITTANCE_STOP: f32 = 1e-4;
 
 const LOG2_E: f32 = 1.4426950408889634;
 
-// What blending needs of a splat.
+// The data of a splat for blending.
 struct Splat {
     // Mean x y, logarithm of the opacity to base 2, the most that alpha may be.
     place: vec4<f32>,
@@ -52,7 +52,7 @@ fn offset_of_pixels(offset: vec2<f32>) -> vec4<f32> {
     return offset.x + vec4<f32>(0.0, 1.0, 2.0, 3.0);
 }
 
-// Opacity before the clamp, opacity exp(-sigma), at the pixels; 0 where the splat does not count.
+// Opacity before the clamp, opacity exp(-sigma), at the pixels; 0 where the splat has no effect.
 fn raw_alpha(offset: vec2<f32>, splat: Splat) -> vec4<f32> {
     let dx = offset_of_pixels(offset);
     let dy = offset.y;

@@ -1,7 +1,7 @@
 // The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come
 // from shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so
-// both take the same decisions: behind a splat lies (final colour - colour so far), T is never
-// divided by.
+// both take the same decisions. The light behind a splat is (final colour - colour so far), so
+// nothing is divided by T.
 // Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile
 // once. With v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v
 // dx^2, v dx dy), slot_tails (v dy^2), all [slots].
@@ -35,8 +35,8 @@ fn store_row(slot: u32, row: array<f32, SUMS>) {
     slot_tails[slot] = row[8];
 }
 
-// Adds what the invocations found for splat `j` of the batch, always in the same order, and writes
-// its row.
+// Adds the invocations' sums for splat `j` of the batch, always in the same order, and writes its
+// row.
 fn finish_splat(j: u32, slot: u32) {
     var row: array<f32, SUMS>;
     for (var i = 0u; i < SUMS; i++) {
@@ -83,7 +83,7 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         if (lane < n) {
             finish_splat(lane, slot);
         }
-        // Nobody still reads the batch.
+        // All reads of the batch are done.
         workgroupBarrier();
     }
     for (var at = max(end, range.x) + lane; at < range.y; at += WIDTH) {

@@ -8,7 +8,7 @@ fn exchange(low: f32, high: f32, upper: bool, mask: u32) -> f32 {
     return keep + subgroupShuffleXor(give, mask);
 }
 
-// What lane i below 8 gets: sum i over all lanes, and the ninth.
+// The result of lane i below 8: sum i over all lanes, and the ninth.
 fn reduce_sums(lane: u32, sums: array<f32, 9>) -> vec2<f32> {
     let four = (lane & 4u) != 0u;
     let two = (lane & 2u) != 0u;

@@ -1,5 +1,5 @@
-// How Gaussians move (MCMC densification). Each row of `moves` is (target, source); the log-scales
-// and logit that both end up with are in `shape`. A row whose target is its source only changes
+// Moves of Gaussians (MCMC densification). Each row of `moves` is (target, source); the final
+// log-scales and logit of both are in `shape`. A row whose target is its source only changes
 // those. No source is a target of another row.
 // The Rust side is `RelocateUniform` in src/core/reconstruct/optimizer.rs.
 

@@ -1,4 +1,4 @@
-// What the kernels of the shake share: sizes, and the knots between which the response is linear.
+// Shared by the kernels of the shake: sizes, and the knots between which the response is linear.
 
 const KNOTS: u32 = 256u;
 
@@ -41,7 +41,7 @@ fn cells_at(here: vec2<i32>, last: vec2<i32>) -> Cells {
     return Cells(max(near, vec3<f32>(0.0)), clamp(2.0 * turned.y - 0.5, 0.0, 1.0));
 }
 
-// The weight there of a tap, by its weights in the first three cells and in the second three.
+// A tap's weight there, from its weights in the first three cells and in the second three.
 fn weight_in(cells: Cells, first: vec3<f32>, second: vec3<f32>) -> f32 {
     return dot(mix(first, second, cells.second), cells.along);
 }

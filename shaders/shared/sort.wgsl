@@ -1,4 +1,4 @@
-// What the kernels that scan and sort share: the shape of a block and the parameters of a dispatch.
+// Shared by the kernels that scan and sort: the shape of a block and the parameters of a dispatch.
 
 // Invocations of a workgroup, elements an invocation, and elements of a block.
 const WIDTH: u32 = 64;
@@ -13,7 +13,7 @@ struct SortParameters {
     shift: u32,
     // Which counter holds the number of elements; FIXED: `capacity` is the number.
     source: u32,
-    // No more elements than this are touched.
+    // Limit of the elements touched.
     capacity: u32,
     // Which counter takes the total of a scan.
     result: u32,
@@ -23,7 +23,7 @@ struct SortParameters {
 
 const FIXED: u32 = 0xffffffffu;
 
-// `groups` workgroups as rows that no driver refuses; may be a few more than asked for.
+// `groups` workgroups in rows that every driver accepts; may be a few more than requested.
 fn fold_workgroups(groups: u32) -> vec3<u32> {
     let rows = max((groups + MAX_WORKGROUPS - 1u) / MAX_WORKGROUPS, 1u);
     return vec3<u32>((groups + rows - 1u) / rows, rows, 1u);

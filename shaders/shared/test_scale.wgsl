@@ -1,4 +1,4 @@
-// Used by the tests of the crate `fled-gpu` alone: an import within an import.
+// Used only by the tests of the crate `fled-gpu`: an import within an import.
 #import shared/grid.wgsl
 
 struct TestScale {

@@ -18,7 +18,7 @@ struct StepUniform {
     step: u32,
     // Slots of the intersection buffers: above it the step is void.
     capacity: u32,
-    // Where the exact number of intersections stands in its buffer.
+    // Index of the exact number of intersections in its buffer.
     total_at: u32,
     pad: u32,
 }

@@ -13,7 +13,7 @@ struct Scanned {
 
 // Must be reached by the whole workgroup.
 fn workgroup_scan(value: u32, lane: u32) -> Scanned {
-    // Nobody still reads the sums of an earlier call.
+    // All reads of an earlier call's sums are done.
     workgroupBarrier();
     scan_sums[lane] = value;
     var sum = value;

@@ -60,7 +60,7 @@ fn main(
         if (valid) {
             atomicOr(&holders[at + own_word], own_bit);
         }
-        // All have said what they hold, and the places are those of this round.
+        // All invocations have set their bits, and the places are those of this round.
         workgroupBarrier();
         // Holders of the same digit before this invocation, and all of them.
         var before = 0u;

@@ -60,7 +60,7 @@ fn main(
         if (!all_stopped()) {
             atomicStore(&live, 1u);
         }
-        // All have said whether they live, and nobody still reads the batch.
+        // All invocations have set `live`, and all reads of the batch are done.
         workgroupBarrier();
         if (lane == 0u) {
             go_on = atomicLoad(&live);

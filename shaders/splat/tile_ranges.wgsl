@@ -1,6 +1,6 @@
 // First and one past the last intersection of a tile, by binary search in the sorted tile ids.
 // Reads camera, parameters, counters, keys [slots] sorted. Writes tile_ranges [tiles + 1]; the last
-// is of the slots that belong to no tile. Dispatch: tiles + 1.
+// is for the slots of no tile. Dispatch: tiles + 1.
 #import shared/grid.wgsl
 #import shared/sort.wgsl
 #import shared/camera.wgsl

@@ -1,4 +1,4 @@
-// The prediction with the target in the place of masked pixels, where it then has no error.
+// The prediction with masked pixels replaced by the target, where it then has no error.
 // Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word), kept [ceil(H W /
 // 32)] (a bit a pixel). Writes filled [3, H, W]. Dispatch: 3 H W invocations.
 #import shared/grid.wgsl

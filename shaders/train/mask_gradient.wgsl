@@ -1,4 +1,4 @@
-// No gradient in masked pixels: what is predicted there has no part in the loss.
+// Zeroes the gradient in masked pixels, whose prediction has no part in the loss.
 // Reads kept [ceil(H W / 32)] (a bit a pixel). Updates (reads and writes) gradient [3, H, W].
 // Dispatch: 3 H W invocations.
 #import shared/grid.wgsl

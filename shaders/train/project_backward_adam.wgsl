@@ -24,7 +24,7 @@ const BETA_M: f32 = 0.9;
 const BETA_V: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 // Largest standard deviation along the line of sight, as a share of the depth. EWA is linear about
-// the centre: a sheet that recedes farther, as a sky becomes, lies over the view as fog.
+// the centre: a sheet that recedes farther, like those of a sky, covers the view like fog.
 const DEEPEST: f32 = 0.25;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -49,7 +49,7 @@ fn fits3(v: vec3<f32>) -> bool {
     return all(bits < vec3<u32>(0x5d5e0b6bu));
 }
 
-// Gradients by what was projected.
+// Gradients by the projected quantities.
 struct SlotSum {
     mean: vec2<f32>,
     conic: vec3<f32>,
@@ -129,7 +129,7 @@ fn colour_backward(
         (by_direction - direction * dot(direction, by_direction)) / distance);
 }
 
-// What Adam takes off the parameters.
+// Adam's update, subtracted from the parameters.
 fn adam_step(m: vec4<f32>, v: vec4<f32>, rate: vec4<f32>) -> vec4<f32> {
     return rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
 }
@@ -147,7 +147,7 @@ fn update_geometry(row: u32, q: u32, value: vec4<f32>, gradient: vec4<f32>, rate
     geometry[3u * row + q] = value - adam_step(m, v, rate);
 }
 
-// The vector with the logit: its last floats are no parameter's and hold the position's gradient.
+// The vector with the logit; its last floats are not parameters but hold the position's gradient.
 fn update_logit(row: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>, seen: vec2<f32>) {
     let at = 6u * row + 2u;
     let before = vec2<f32>(geometry_moments[at].w, geometry_moments[at + 3u].w);

@@ -1,6 +1,6 @@
-// Makes a dead or new Gaussian what was taken for it, a move an invocation, where the target lies
-// in this part, and clears its moments. Log-scales and logit come from `shape`: the source's own
-// change too.
+// Writes the Gaussian taken for a dead or new one, a move an invocation, if the target is in this
+// part, and clears its moments. Log-scales and logit come from `shape`; the source's own change
+// too.
 // Reads moves [rows], shape [rows] (log-scale xyz, logit), taken [rows, 12 + sh_row]. Reads and
 // writes geometry [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part,
 // 2, sh_row]. Dispatch: rows.

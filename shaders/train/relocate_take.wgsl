@@ -1,5 +1,4 @@
-// Copies the Gaussian that another is to become, a move an invocation, where the source lies in
-// this part.
+// Copies the source Gaussian of a move, a move an invocation, if the source is in this part.
 // Reads moves [rows], geometry [part, 12], sh [part, sh_row]. Writes taken [rows, 12 + sh_row].
 // Dispatch: rows.
 #import shared/grid.wgsl

@@ -1,7 +1,7 @@
 //! Which splats each tile blends, near to far: depths are sorted once, tiles are counted.
 //!
-//! Tasks write to places of their own in shared arrays. Those hold relaxed atomics, which on x86-64
-//! are plain loads and stores.
+//! Each task writes to its own places in shared arrays of relaxed atomics, which on x86-64 are
+//! plain loads and stores.
 
 mod radix;
 
@@ -17,7 +17,7 @@ use crate::simd::{LANES, vectorised};
 /// longer (560 x 320 px, 30,000 Gaussians).
 pub const TILE: [usize; 2] = [LANES, 32];
 
-/// Parts of the order that are counted and filled on their own.
+/// Parts of the order that are counted and filled separately.
 const PARTS: usize = 16;
 
 /// Splats that are copied together.
@@ -50,7 +50,7 @@ struct Part {
 pub struct Entry {
     /// Index of the Gaussian.
     pub gaussian: usize,
-    /// Place of the intersection among those of all Gaussians. A Gaussian's slots are contiguous.
+    /// Index among the intersections of all Gaussians. A Gaussian's slots are contiguous.
     pub slot: usize,
 }
 
@@ -66,7 +66,7 @@ fn halves(pair: u64) -> [usize; 2] {
 /// below the first.
 #[inline(always)]
 pub(crate) fn whole(low: f32, high: f32, end: usize) -> [i32; 2] {
-    // Beyond the image on either side, so that the conversion keeps the order.
+    // Clamped beyond the image on either side, so that the conversion keeps the order.
     let held = |v: f32| v.max(-1.0).min(end as f32);
     [held(low).ceil().max(0.0) as i32, (held(high).floor() as i32).min(end as i32 - 1)]
 }
@@ -77,7 +77,7 @@ pub(crate) fn whole(low: f32, high: f32, end: usize) -> [i32; 2] {
 pub(crate) fn span(splat: &Splat, axis: usize, low: f32, high: f32) -> [f32; 2] {
     let [reach, other] = [splat[entry::EXTENT + axis], splat[entry::EXTENT + 1 - axis]];
     let (half, shear) = (splat[entry::HALF + axis], splat[entry::SHEAR + axis]);
-    // Where the ellipse reaches farthest.
+    // The farthest point of the ellipse.
     let farthest = splat[entry::SHEAR + 1 - axis] * reach;
     let at = |place: f32, sign: f32| {
         let part = place / other;
@@ -89,7 +89,7 @@ pub(crate) fn span(splat: &Splat, axis: usize, low: f32, high: f32) -> [f32; 2] 
     [first, last]
 }
 
-/// Calls `found` with every tile in which the splat may count.
+/// Calls `found` with every tile in which the splat may have an effect.
 #[inline(always)]
 fn touched(splat: &Splat, size: [usize; 2], tiles_x: usize, mut found: impl FnMut(usize)) {
     let (x, y) = (splat[entry::MEAN] - 0.5, splat[entry::MEAN + 1] - 0.5);
@@ -176,7 +176,7 @@ impl Bins {
         let (tiles, part) = (self.len(), self.part());
         let order = self.sort.order();
         let mut sum = 0;
-        // Parts without splats still hold what was found before.
+        // Parts without splats still hold earlier results.
         let first: Vec<usize> = { self.parts.iter().take(order.len().div_ceil(part)) }
             .map(|part| {
                 let first = sum;

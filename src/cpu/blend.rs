@@ -13,7 +13,7 @@ use crate::simd::{F, LANES, Lanes, each, load, splat, store_some, vectorised};
 pub use backward::{SUMS, SlotSums};
 use brush::{Brush, TRANSMITTANCE_STOP, first_transmittance, is_done};
 
-/// Splats of a batch. Between two batches a tile looks whether all pixels have stopped.
+/// Splats of a batch. Between two batches a tile checks whether all pixels have stopped.
 const BATCH: usize = 8;
 
 /// A rendered image.
@@ -103,7 +103,7 @@ impl Pixels {
     }
 }
 
-/// Blends the entries of a tile; the number of entries after which all pixels had stopped.
+/// Blends the entries of a tile; returns the number of entries after which all pixels had stopped.
 #[inline(always)]
 fn blend<S: Simd>(
     simd: S,

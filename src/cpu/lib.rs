@@ -1,10 +1,10 @@
 //! Splatting and its training on processors: projection, blending, loss, shake, the noise
 //! field and optimisers in f32, each with its backward pass.
 //!
-//! The meaning is the f64 reference of the core, as for the kernels in WGSL. The same input gives
+//! The core's f64 reference is the specification, as for the kernels in WGSL. The same input gives
 //! the same bits on every x86-64 processor with AVX2, with any number of threads: each sum has a
-//! fixed order, fused multiplications are written as such, and exponentials and logarithms are
-//! polynomials of this crate.
+//! fixed order, fused multiplications are explicit, and exponentials and logarithms are polynomials
+//! of this crate.
 
 pub mod bins;
 pub mod blend;

@@ -1,5 +1,5 @@
 //! The paper's noise field: a network of a pixel's position and direction whose output, between 0
-//! and [`AMPLITUDE`], is added to the render in training. The meaning is that of the core's
+//! and [`AMPLITUDE`], is added to the render in training. The reference is the core's
 //! noise/reference.rs.
 //!
 //! The backward pass repeats the forward pass instead of keeping its activations: they are 2 KiB a

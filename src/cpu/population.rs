@@ -36,7 +36,7 @@ pub struct Population {
     pub(crate) seen: Vec<[Lanes; 2]>,
 }
 
-/// Where a number of a Gaussian lies.
+/// Position of a number of a Gaussian.
 fn place(columns: usize, gaussian: usize, column: usize) -> (usize, usize) {
     (gaussian / LANES * columns + column, gaussian % LANES)
 }

@@ -1,5 +1,4 @@
-//! Two plain loops, to which the times of the kernels relate: arithmetic and copying, on all
-//! threads.
+//! Two plain loops, arithmetic and copying on all threads, as a yardstick for the kernels' times.
 
 use fearless_simd::prelude::*;
 use rayon::prelude::*;

@@ -1,5 +1,5 @@
 //! The shake of a view: a blur of its light by a small kernel that varies over the image by 3 x 2
-//! cells, and the backward pass. The meaning is the core's src/core/shake/reference.rs.
+//! cells, and the backward pass. The reference is the core's src/core/shake/reference.rs.
 
 mod response;
 
@@ -35,7 +35,7 @@ pub struct Kernel {
     columns: Vec<f32>,
 }
 
-/// How near a place, in cells from the middle of the first, is to each of the cells.
+/// Weight of each cell at a place, given in cells from the middle of the first.
 fn near(pixel: usize, pixels: usize, cells: usize) -> [f32; ALONG] {
     let at = (pixel as f32 + 0.5) / pixels as f32 * cells as f32 - 0.5;
     let at = at.max(0.0).min((cells - 1) as f32);
@@ -100,7 +100,7 @@ pub struct Shake {
     pub render_gradient: Vec<f32>,
 }
 
-/// The contribution of a tap to a row: where its numbers begin, before column 0, and its factors.
+/// The contribution of a tap to a row: the start of its numbers, before column 0, and its factors.
 struct Source {
     begin: usize,
     columns: usize,
@@ -210,7 +210,7 @@ impl Kernel {
             if from >= self.size[1] {
                 return None;
             }
-            // The weight is that of the pixel at which the light arrives.
+            // The weight is that of the pixel that receives the light.
             let arrival = if sign < 0 { row } else { from };
             let shifted = self.margin.checked_add_signed(dx as isize)?;
             Some(Source {

@@ -1,5 +1,5 @@
-//! Sixteen lanes, and the functions that the standard library leaves to the platform's own: theirs
-//! differ in the last bit from machine to machine.
+//! Sixteen lanes, and the functions for which the standard library uses the platform's own, which
+//! differ in the last bit between machines.
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, f32x16, i32x16, mask32x16, u32x16};
@@ -60,8 +60,8 @@ macro_rules! vectorised {
 }
 pub(crate) use vectorised;
 
-/// An array of an expression's values, always inlined. `map` is not: a closure that stays a
-/// function of its own is compiled for the oldest processors.
+/// An array of an expression's values, always inlined. `map` is not, and a closure that is not
+/// inlined is compiled for the oldest processors.
 macro_rules! each {
     ([$($value:expr),+] $name:ident => $body:expr) => {
         [$({
@@ -131,11 +131,11 @@ pub(crate) fn ramp<S: Simd>(simd: S) -> F<S> {
     load(simd, &[0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.])
 }
 
-/// 1.5 * 2^23: a sum with it is rounded to a whole number, which stands in its lowest bits.
+/// 1.5 * 2^23: adding it rounds to a whole number, which is in the lowest bits.
 pub(crate) const ROUND: f32 = 12_582_912.0;
 
-/// The polynomial of 2^x between -1/2 and 1/2 below its highest coefficient. The linear one is not
-/// quite the logarithm of 2.
+/// The polynomial of 2^x between -1/2 and 1/2 below its highest coefficient. The linear coefficient
+/// is not exactly the logarithm of 2.
 #[expect(clippy::approx_constant, reason = "the best polynomial, not the series")]
 const EXP2: [f32; 5] = [0.009_675_541, 0.055_507_133, 0.240_221_2, 0.693_147, 1.000_000_1];
 

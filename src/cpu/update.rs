@@ -1,5 +1,5 @@
 //! From the sums of the intersections to the gradients of every Gaussian, and Adam's update of it,
-//! sixteen at a time. The meaning is that of shaders/train/project_backward_adam.wgsl.
+//! sixteen at a time, equivalent to shaders/train/project_backward_adam.wgsl.
 
 mod adam;
 mod gradient;

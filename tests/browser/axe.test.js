@@ -1,4 +1,4 @@
-// What axe-core finds on every page: nothing serious, light and dark, at a desk and on a phone.
+// axe-core finds nothing serious on any page, light or dark, on a desktop or a phone.
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
@@ -13,7 +13,7 @@ import { Server } from "./server.js";
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 const NOWHERE = "00000000-0000-7000-8000-000000000000";
 const BAD = ["serious", "critical"];
-/** ms; ten of them are a stage. */
+/** A tenth of a stage, ms. */
 const SLOWLY = 2500;
 
 let stand;
@@ -30,9 +30,9 @@ after(async () => {
   await stand?.stop();
 });
 
-/** What is wrong on a page, a line each. */
+/** The violations on a page, one per line. */
 async function wrong(page) {
-  // What is folded away is part of the page; what fades in or moves has no colour of its own yet.
+  // Unfolds everything to check it; text that fades in or moves has no final colour yet.
   await page.locator("details").evaluateAll((all) =>
     all.forEach((one) => {
       one.open = true;
@@ -160,7 +160,7 @@ for (const [name, [address, shown]] of Object.entries(PAGES)) {
   });
 }
 
-test("axe finds nothing serious where a token is asked for", async () => {
+test("axe finds nothing serious on the login page", async () => {
   locked = await Server.start(process.env.FLED);
   locked.token();
   const visitor = new Browser(locked.base, stand.browser.chromium);
@@ -179,7 +179,7 @@ test("axe finds nothing serious where a token is asked for", async () => {
   }
 });
 
-test("what axe would find is found", () =>
+test("axe reports a violation that was planted", () =>
   stand.visit("axe-oracle", "#/captures", async (page) => {
     await page.getByRole("heading", { level: 1 }).waitFor();
     await page.locator("main").evaluate((main) => main.append(document.createElement("select")));

@@ -1,4 +1,4 @@
-// Debian's Chromium, and pages that write down whatever goes wrong on them.
+// Debian's Chromium, and pages that record their faults.
 
 import assert from "node:assert/strict";
 import { join } from "node:path";
@@ -7,25 +7,25 @@ import { chromium } from "playwright-core";
 
 import { PATIENCE } from "./until.js";
 
-/** The folder of the pictures. */
+/** The folder of screenshots. */
 export const SCREENSHOTS = join(import.meta.dirname, "screenshots");
 
 const ARGUMENTS = [
   "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
   "--disable-background-networking", "--disable-component-update", "--disable-sync",
-  // WebGL by software, as the scene in 3D wants it.
+  // WebGL in software, for the 3D scene.
   "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-  // A wheel's turn is over at once: what is measured next does not move under the test.
+  // A turn of the wheel ends at once, so that the next measurement does not see it move.
   "--disable-smooth-scrolling",
 ];
 
 /** px */
 export const DESKTOP = { width: 1200, height: 900 };
-/** A small phone of today, px. */
+/** A small current phone, px. */
 export const PHONE = { width: 360, height: 740 };
 
 export class Browser {
-  /** A browser that looks at the server at `base`. */
+  /** Starts a browser for the server at `base`. */
   static async start(base) {
     const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
     return new Browser(base, await chromium.launch({ executablePath, args: ARGUMENTS }));
@@ -40,8 +40,8 @@ export class Browser {
   }
 
   /**
-   * Opens the page at `hash`, hands it to `judge(page, faults)` and fails when it had any fault in
-   * the end. Leaves a picture of its last state, whatever came out: `screenshots/NAME.png`.
+   * Opens the page at `hash`, passes it to `judge(page, faults)` and fails if faults remain. Always
+   * saves its last state as `screenshots/NAME.png`.
    */
   async visit(name, hash, judge, viewport = DESKTOP, further = {}) {
     const context = await this.chromium.newContext({ viewport, acceptDownloads: true, ...further });
@@ -61,14 +61,14 @@ export class Browser {
   }
 }
 
-/** A picture of a page as it is now: `screenshots/NAME.png`. */
+/** Saves a screenshot of a page: `screenshots/NAME.png`. */
 export const picture = (page, name) => page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
 
-/** What goes wrong on a page from now on, a line each. */
+/** The faults of a page from now on, one per line. */
 function watch(page, base) {
   const faults = [];
   page.on("console", (message) => {
-    // Without a GPU what WebGL draws is read back to be shown, and each time it warns of that.
+    // Without a GPU, WebGL reads each frame back to show it, with a warning.
     if (message.text().includes("GL Driver Message (OpenGL, Performance")) return;
     if (["error", "warning"].includes(message.type())) {
       faults.push(`console: ${message.text()}`);
@@ -81,9 +81,8 @@ function watch(page, base) {
   });
   page.on("requestfailed", (request) => {
     const reason = request.failure()?.errorText;
-    // The page itself breaks a request off: it goes to another address, shows another picture, or
-    // its player wants another part of the file. What the server or the network breaks has another
-    // reason.
+    // The page itself aborted the request: it left, showed another picture, or its player asked
+    // for another part of the file. Server and network failures have other reasons.
     if (reason === "net::ERR_ABORTED") return;
     faults.push(`failed: ${request.url()}: ${reason}`);
   });
@@ -95,7 +94,7 @@ function watch(page, base) {
   return faults;
 }
 
-/** The page's own files from a folder and not from the program: to work on them without a build. */
+/** Serves the page's own files from a folder, so that changes need no build. */
 async function fromTree(page, base, folder) {
   const own = (url) => url.origin === base && /^\/(assets\/.*)?$/.test(url.pathname);
   await page.route(own, (route) => {
@@ -105,7 +104,7 @@ async function fromTree(page, base, folder) {
   });
 }
 
-/** What reaches over the right edge of the window and is not scrolled by an element of its own. */
+/** Elements beyond the right edge of the window that no element of their own scrolls. */
 export function overflowing(page) {
   return page.evaluate(() => {
     const width = document.documentElement.clientWidth;
@@ -127,7 +126,7 @@ export function overflowing(page) {
   });
 }
 
-/** Opens the page anew as a browser without WebGL. */
+/** Reopens the page as a browser without WebGL. */
 export async function withoutWebGl(page) {
   await page.addInitScript(() => {
     const real = HTMLCanvasElement.prototype.getContext;
@@ -138,13 +137,13 @@ export async function withoutWebGl(page) {
   await page.reload();
 }
 
-/** Whether every picture in `locator` is there. */
+/** Whether every picture in `locator` has loaded. */
 export async function loaded(locator) {
   const sizes = await locator.evaluateAll((images) => images.map((image) => image.naturalWidth));
   return sizes.length > 0 && sizes.every((size) => size > 0);
 }
 
-/** Share of the picture that a canvas holds which is not as its corner is. */
+/** Share of a canvas's pixels that differ from its corner. */
 export const drawn = (canvas) => canvas.evaluate((one) => {
   const copy = new OffscreenCanvas(one.width, one.height).getContext("2d");
   copy.drawImage(one, 0, 0);

@@ -19,12 +19,12 @@ after(() => stand?.stop());
 
 const captureOf = async (id) => (await server.job(id)).capture_id;
 
-both("the captures are a page, from which each can be opened by keyboard", async (width) => {
+both("captures are listed and can be opened by keyboard", async (width) => {
   await stand.finished();
   await stand.visit("captures", "", async (page) => {
     await page.getByRole("link", { name: "Captures" }).focus();
     await page.keyboard.press("Enter");
-    // Not one of the list that is left.
+    // Not a link of the previous list.
     const link = page.locator("tbody a[href^=\"#/captures/\"]").first();
     await link.focus();
     await page.keyboard.press("Enter");
@@ -41,7 +41,7 @@ both("the captures are a page, from which each can be opened by keyboard", async
   }, width);
 });
 
-both("a finished job is run again with other options from its page", async (width) => {
+both("a finished job can be run again with other options", async (width) => {
   const id = await stand.finished();
   await stand.visit("again", `#/jobs/${id}`, async (page) => {
     const form = await again(page, "40");
@@ -66,7 +66,7 @@ both("a finished job is run again with other options from its page", async (widt
   }, width);
 });
 
-both("what the server says of an option stands at its field, which has the focus", async (width) =>
+both("an option's error appears at its field and focuses it", async (width) =>
   stand.visit("bad-option", `#/captures/${await captureOf(await stand.finished())}`, async (page, faults) => {
     const form = part(page, "Run again with other options");
     for (const [name, value] of [["Brightness", "no such scene"], ["Deblurring network", "no such network"]]) {
@@ -83,7 +83,7 @@ both("what the server says of an option stands at its field, which has the focus
       await field.fill(before);
       await said.waitFor({ state: "hidden" });
     }
-    // Numbers are known to be wrong before they are sent, all of them.
+    // All wrong numbers are found before anything is sent.
     const asked = [];
     page.on("request", (request) => request.method() === "POST" && asked.push(request.url()));
     await form.getByLabel("Training steps", { exact: true }).fill("0");
@@ -98,7 +98,7 @@ both("what the server says of an option stands at its field, which has the focus
     await picture(page, `page-bad-options-${width}`);
   }, width));
 
-both("the form of a new job has the options of its preset, and sends those that differ", async (width) =>
+both("the form of a new job shows the preset's options and sends those that differ", async (width) =>
   stand.visit("new-options", "", async (page) => {
     await page.getByText("Options", { exact: true }).click();
     const size = page.getByLabel("Image size", { exact: true });
@@ -115,7 +115,7 @@ both("the form of a new job has the options of its preset, and sends those that 
     await seen(part(page, "Photographs"), "broken.jpg");
   }, width));
 
-both("a capture is deleted after a question, but not while a job uses it", async (width) => {
+both("a capture is deleted after confirmation, but not while a job uses it", async (width) => {
   const name = `to be deleted ${width}`;
   const id = await server.submit(stand.folder, name, { adapter: "few_poses" });
   await server.reached(id, "failed");
@@ -145,7 +145,7 @@ both("a capture is deleted after a question, but not while a job uses it", async
   }, width);
 });
 
-both("what is chosen is shown, with what is wrong with it, before anything is sent", async (width) =>
+both("chosen files are listed with their faults before they are sent", async (width) =>
   stand.visit("chosen", "", async (page) => {
     const sent = [];
     page.on("request", (request) => request.method() !== "GET" && sent.push(request.url()));

@@ -1,4 +1,4 @@
-// Jobs beside each other: marking them in a list, the page that compares them, and its address.
+// Comparison of jobs: selecting them in a list, the page that compares them, and its address.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -24,7 +24,7 @@ after(() => stand?.stop());
 
 const made = new Map();
 
-/** A job of the finished job's capture with options of its own. Its id. */
+/** Submits a job of the finished job's capture with other options; returns its id. */
 function another(name, options) {
   if (!made.has(name)) made.set(name, order(name, options));
   return made.get(name);
@@ -46,7 +46,7 @@ async function order(name, options) {
   return (await response.json()).id;
 }
 
-/** Two finished jobs of one capture: the second has three rounds, and the better scores. */
+/** Two finished jobs of one capture; the second has three rounds and better scores. */
 async function two() {
   const first = await stand.finished();
   const second = await another(HOSTILE, { steps: 60, rounds: 3 });
@@ -60,7 +60,7 @@ async function failed() {
   return id;
 }
 
-/** Opens a comparison when its jobs are there. */
+/** Opens a comparison once its jobs have finished. */
 const compare = (name, ids, judge, width, query = "", further = {}) =>
   stand.visit(
     name,
@@ -76,7 +76,7 @@ const compare = (name, ids, judge, width, query = "", further = {}) =>
 const mark = (page, name) => page.getByRole("checkbox", { name: `Select ${name}`, exact: true });
 
 both(
-  "jobs that are marked in the list are compared, by an address that holds them",
+  "jobs selected in the list are compared, and the address names them",
   async (width) => {
     const [first, second] = await two();
     await stand.visit(
@@ -95,7 +95,7 @@ both(
         await bar.getByRole("link", { name: "Compare 2 jobs" }).click();
         await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
         assert.equal(new URL(page.url()).hash, `#/compare/${second},${first}`);
-        // A reload would cut off what is still asked for.
+        // A reload would abort pending requests.
         const settled = () => loaded(page.getByRole("slider").locator("img"));
         await until("all is there", settled);
         await page.reload();
@@ -107,7 +107,7 @@ both(
   },
 );
 
-both("what differs is told, and what does not is folded away", async (width) => {
+both("differing options are shown and equal ones folded away", async (width) => {
   await compare(
     "differ",
     await two(),
@@ -128,7 +128,7 @@ both("what differs is told, and what does not is folded away", async (width) => 
   );
 });
 
-both("scores stand by round and job, the best of each round is marked", async (width) => {
+both("scores are listed by round and job, with the best of each round marked", async (width) => {
   await compare(
     "scores",
     await two(),
@@ -144,7 +144,7 @@ both("scores stand by round and job, the best of each round is marked", async (w
       const { started_at: from, finished_at: to } = await server.job(await stand.finished());
       await seen(glance.locator("tbody tr").nth(0), duration((Date.parse(to) - Date.parse(from)) / 1000));
       const metrics = part(page, "Metrics by round");
-      assert.equal(await metrics.getByRole("table").count(), 0, "what the chart says is not told twice");
+      assert.equal(await metrics.getByRole("table").count(), 0, "a chart replaces the table");
       await metrics.getByText("Values by round").first().click();
       const rows = metrics
         .getByRole("region", { name: "PSNR after colour fit, dB by round" })
@@ -193,7 +193,7 @@ both("a chart's values are read by keyboard and by pointer", async (width) => {
       await seen(legend, /Round 1:.*19\.50/);
       await plot.press("End");
       await seen(legend, /Round 3:.*– .*21\.50|Round 3:.*–.*21\.50/);
-      // Pictures above that are still loading move the chart; hovering waits until it rests.
+      // Pictures still loading above move the chart; hovering waits until it rests.
       const { width: wide, height } = await plot.boundingBox();
       await plot.hover({ position: { x: wide * 0.15, y: height / 2 } });
       await seen(legend, "Round 1:");
@@ -210,7 +210,7 @@ both("a chart's values are read by keyboard and by pointer", async (width) => {
   );
 });
 
-both("the same view of two jobs is side by side, as the address says", async (width) => {
+both("one view of two jobs is shown side by side, as the address says", async (width) => {
   const [first, second] = await two();
   await compare(
     "beside",
@@ -259,7 +259,7 @@ both("the same view of two jobs is side by side, as the address says", async (wi
 });
 
 both(
-  "a job that is gone, failed or runs is told in a sentence beside the others",
+  "a missing, failed or running job is explained in a sentence beside the others",
   async (width) => {
     const [first] = await two();
     const runs = await another(`one that runs ${width}`, { adapter: "reconstruct:1500" });
@@ -293,7 +293,7 @@ both(
   },
 );
 
-test("poses of an earlier job count no time, beside another and on the job's page", async () => {
+test("reused poses count no time, in a comparison or on the job's page", async () => {
   const ids = await two();
   await stand.visit("reused", `#/compare/${ids.join(",")}`, async (page) => {
     await page.route(`**/v1/jobs/${ids[1]}`, async (route) => {
@@ -312,7 +312,7 @@ test("poses of an earlier job count no time, beside another and on the job's pag
   });
 });
 
-test("a server that does not answer for a while is asked again", async () => {
+test("requests are repeated while the server does not answer", async () => {
   const ids = await two();
   await stand.visit("asked-again", `#/compare/${ids.join(",")}`, async (page, faults) => {
     const rows = page.getByRole("table", { name: "At a glance" }).locator("tbody tr");
@@ -333,14 +333,14 @@ test("a server that does not answer for a while is asked again", async () => {
   });
 });
 
-test("an address that cannot be read is a sentence", () =>
+test("an unreadable address gives a sentence", () =>
   stand.visit("unreadable", "#/compare/%,%E0%A4%A", async (page, faults) => {
     await seen(page.locator("tbody tr"), "Job not found");
     await until("both are asked for", () => faults.length === 4);
     provoked(faults, 404);
   }));
 
-test("jobs of different captures are said to be so, and none is the best", async () => {
+test("jobs of different captures are compared with a caution and without a best one", async () => {
   const [, second] = await two();
   const other = await server.submit(stand.folder, "of others", { adapter: "ok" });
   await server.reached(other, "succeeded");
@@ -351,7 +351,7 @@ test("jobs of different captures are said to be so, and none is the best", async
   });
 });
 
-test("six jobs are compared at most, and one is no comparison", async () => {
+test("at least two and at most six jobs are compared", async () => {
   const [first, second] = await two();
   const more = [];
   for (let i = 0; i < 5; i++) more.push(await another(`number ${i}`, { steps: 50 + i }));
@@ -373,7 +373,7 @@ test("six jobs are compared at most, and one is no comparison", async () => {
   });
 });
 
-both("a job's page offers the others to compare with", async (width) => {
+both("a job's page offers other jobs to compare with", async (width) => {
   const [first, second] = await two();
   await stand.visit(
     "compare-with",
@@ -394,7 +394,7 @@ both("a job's page offers the others to compare with", async (width) => {
 });
 
 both(
-  "marked jobs are deleted after one question that names them; one that runs stays",
+  "selected jobs are deleted after one question that names them; a running one stays",
   async (width) => {
     const names = [`old ${width}`, `<b>older</b> ${width}`];
     const ids = [];

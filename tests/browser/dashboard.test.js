@@ -1,6 +1,6 @@
-// The dashboard as its users see it: the real program serves it, real jobs fill it, a browser
-// shows it. `make test-browser` says in FLED where the program is; WEB=../../web takes the page
-// from the tree and not from the program. Pictures of every page are in screenshots/ afterwards.
+// The dashboard from end to end: the real program, real jobs and a browser. `make test-browser`
+// sets FLED to the path of the program; WEB=../../web serves the page from the tree instead of the
+// program. Screenshots of every page are saved to screenshots/.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";
@@ -11,7 +11,7 @@ import { Browser, PHONE, loaded, overflowing, withoutWebGl } from "./browser.js"
 import { Server } from "./server.js";
 import { PATIENCE, until } from "./until.js";
 
-// Markup, to a page that takes a name for more than text.
+// Contains markup, to detect a page that does not escape names.
 const FINISHED = "a finished <b>job</b>";
 const FAILED = "a failed job";
 const RUNNING = "a running job";
@@ -35,7 +35,7 @@ after(async () => {
   await server?.stop();
 });
 
-/** A job that several tests look at: the first of them submits it. Its id. */
+/** A job shared by several tests, submitted by the first; returns its id. */
 function shared(name, options) {
   let id = null;
   return () => (id ??= server.submit(capture, name, options));
@@ -55,10 +55,10 @@ async function failed() {
   return `#/jobs/${await failing()}`;
 }
 
-/** The list's row of a job. */
+/** A job's row in the list. */
 const row = (page, name) => page.locator("tbody tr", { hasText: name });
 
-/** The part of a job's page under a title. */
+/** The section of a job's page with a title. */
 function part(page, title) {
   const heading = page.getByRole("heading", { name: title, exact: true, level: 2 });
   return page.locator("section", { has: heading });
@@ -71,7 +71,7 @@ const button = (page, name) => page.getByRole("button", { name });
 /** Waits for an element with the text. */
 const seen = (locator, text) => locator.filter({ hasText: text }).first().waitFor();
 
-/** Waits until the progress that `value` reads grows. */
+/** Waits until the progress read by `value` grows. */
 async function grows(value) {
   const first = await value();
   await until("progress moves", async () => (await value()) > first);
@@ -80,7 +80,7 @@ async function grows(value) {
 
 const valueOf = (bar) => () => bar.evaluate((element) => element.value);
 
-test("without a job the list says how to begin, and the machine is ready", () =>
+test("an empty list says how to begin, and the machine is ready", () =>
   browser.visit("list-empty", "", async (page) => {
     await page.getByText("No jobs yet.").waitFor();
     await until("the example is there", () => loaded(page.locator(".example img")));
@@ -88,7 +88,7 @@ test("without a job the list says how to begin, and the machine is ready", () =>
     assert.equal(await page.getByRole("table").isVisible(), false);
   }));
 
-test("who has no photographs tries a sample, by the preset and the options of the form", async () => {
+test("the sample runs with the preset and options of the form", async () => {
   let job;
   await browser.visit("sample", "", async (page) => {
     const form = part(page, "New job");
@@ -97,7 +97,7 @@ test("who has no photographs tries a sample, by the preset and the options of th
     assert.equal(await paper.isDisabled(), true);
     await form.getByLabel("Preset").selectOption("preview");
     await button(page, "Try a sample").click();
-    // The server draws for some seconds of both cores.
+    // The server renders for some seconds on both cores.
     await page.waitForURL(/#\/jobs\//, { timeout: 2 * PATIENCE });
     await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");
     job = await server.job(page.url().split("/").pop());
@@ -108,18 +108,18 @@ test("who has no photographs tries a sample, by the preset and the options of th
     await button(page.getByRole("dialog"), "Cancel job").click();
     await seen(state(page), "cancelled");
   });
-  // Not before the page is closed, which may still be asking for the job.
+  // Only after the page is closed, as it may still request the job.
   await fetch(`${server.base}/v1/jobs/${job.id}`, { method: "DELETE" });
   await fetch(`${server.base}/v1/captures/${job.capture_id}`, { method: "DELETE" });
 });
 
-test("nothing is sent before photographs are chosen", () =>
+test("nothing is sent until photographs are chosen", () =>
   browser.visit("upload-nothing", "", async (page) => {
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "Choose photographs");
   }));
 
-test("an upload that is refused says why, and another can be tried", () =>
+test("a refused upload says why, and another can be tried", () =>
   browser.visit("upload-refused", "", async (page, faults) => {
     const path = join(server.folder, "notes.jpg");
     writeFileSync(path, "no photograph");
@@ -132,7 +132,7 @@ test("an upload that is refused says why, and another can be tried", () =>
     for (const fault of faults.splice(0)) assert.match(fault, /\b422\b/);
   }));
 
-test("a folder that is chosen on the page becomes a job, which is cancelled", () =>
+test("a chosen folder becomes a job, which is cancelled", () =>
   browser.visit("uploaded", "", async (page) => {
     await page.getByLabel("Choose a folder").setInputFiles(capture);
     await page.getByLabel("Name", { exact: true }).fill(UPLOADED);
@@ -149,7 +149,7 @@ test("a folder that is chosen on the page becomes a job, which is cancelled", ()
     await button(page, "Try again").waitFor();
   }));
 
-test("a failed job shows the error with its hint, and fails again when tried again", async () => {
+test("a failed job shows the error with its hint, and fails again when retried", async () => {
   const address = await failed();
   const { error } = await server.job(await failing());
   assert.ok(error.detail && error.hint);
@@ -166,7 +166,7 @@ test("a failed job shows the error with its hint, and fails again when tried aga
   });
 });
 
-test("a job that finishes is seen to finish, with its scores and its files", async () => {
+test("a job's page shows it finish, with scores and files", async () => {
   const id = await finishing();
   await browser.visit("finished", `#/jobs/${id}`, async (page) => {
     await seen(state(page), "succeeded");
@@ -195,7 +195,7 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
   });
 });
 
-test("every picture of every view is there, and two of them can be compared", async () =>
+test("every picture of every view loads, and two can be compared", async () =>
   browser.visit("views", await finished(), async (page) => {
     const views = part(page, "Views");
     const choice = views.getByRole("combobox", { name: "view" });
@@ -225,7 +225,7 @@ test("every picture of every view is there, and two of them can be compared", as
     await seen(slider.locator(".left"), "ground truth");
   }));
 
-test("a view that nobody photographed is rendered and turns", async () =>
+test("a novel view is rendered and turns", async () =>
   browser.visit("novel-view", await finished(), async (page) => {
     await withoutWebGl(page);
     const novel = part(page, "Novel view");
@@ -254,7 +254,7 @@ test("a file of the result is downloaded", async () =>
     assert.equal(await download.failure(), null);
   }));
 
-test("a running job shows what it does, and its progress moves without a reload", async () =>
+test("a running job shows its activity, and its progress moves without a reload", async () =>
   browser.visit("running", `#/jobs/${await running()}`, async (page) => {
     await seen(state(page), "running");
     await seen(page.locator("section"), /round 1 of 2, reconstruct · [0-9.]+ steps\/s · .* left/);
@@ -264,7 +264,7 @@ test("a running job shows what it does, and its progress moves without a reload"
     assert.equal(await button(page, "Delete").count(), 0);
   }));
 
-test("the list shows every job with its state and leads to it", async () => {
+test("the list shows every job with its state and links to it", async () => {
   const states = [[FINISHED, "succeeded"], [FAILED, "failed"], [RUNNING, "running"]];
   await Promise.all([finished(), failed(), running()]);
   await browser.visit("list", "", async (page) => {
@@ -279,7 +279,7 @@ test("the list shows every job with its state and leads to it", async () => {
   });
 });
 
-test("an address of no job says so", () =>
+test("the address of an unknown job says so", () =>
   browser.visit("unknown", "#/jobs/00000000-0000-7000-8000-000000000000", async (page, faults) => {
     await seen(page.getByRole("alert"), "Job not found.");
     for (const fault of faults.splice(0)) assert.match(fault, /\b404\b/);
@@ -304,7 +304,7 @@ test("nothing is wider than a phone", async () => {
   }
 });
 
-test("a job that was cancelled runs again", async () =>
+test("a cancelled job runs again", async () =>
   browser.visit("again", `#/jobs/${await running()}`, async (page) => {
     await button(page, "Cancel job").click();
     await button(page.getByRole("dialog"), "Cancel job").click();
@@ -314,7 +314,7 @@ test("a job that was cancelled runs again", async () =>
     await seen(page.locator("section"), "attempt 2");
   }));
 
-test("a job that is deleted leaves the list", async () => {
+test("a deleted job leaves the list", async () => {
   await finished();
   await browser.visit("deleted", await failed(), async (page) => {
     await button(page, "Delete").click();
@@ -324,7 +324,7 @@ test("a job that is deleted leaves the list", async () => {
   });
 });
 
-test("from the first token on the page asks for it, and forgets it on logout", async () => {
+test("once a token exists the page asks for it, and forgets it on logout", async () => {
   const locked = await Server.start(process.env.FLED);
   try {
     const token = locked.token();

@@ -1,4 +1,4 @@
-// A reporter for `node --test`: the files of the tests that failed, a line each.
+// A reporter for `node --test`: the files of failed tests, one per line.
 
 export default async function* failed(events) {
   for await (const { type, data } of events) if (type === "test:fail") yield `${data.file ?? data.name}\n`;

@@ -1,13 +1,13 @@
-// What the first look at a page costs: bytes, requests, and time until something is there to read.
+// The cost of opening a page: bytes, requests, and time to the first text.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { Stand } from "./played.js";
 
-/** Of a page's own files, as they come over the line, without the pictures of a job. */
+/** Limit for a page's own files as transferred, without the pictures of a job. */
 const MOST_BYTES = 300_000;
-/** On two busy cores; an idle machine takes a twentieth of it, ms. */
+/** Limit on two busy cores, ms; an idle machine takes a twentieth of it. */
 const LATEST_PAINT = 5000;
 
 let stand;
@@ -18,7 +18,7 @@ before(async () => {
 
 after(() => stand?.stop());
 
-/** Bytes and times of a page as its browser counted them. */
+/** Bytes and times of a page as measured by its browser. */
 const figures = (page) => page.evaluate(() => {
   const entries = performance.getEntriesByType("resource");
   const [document] = performance.getEntriesByType("navigation");
@@ -28,7 +28,7 @@ const figures = (page) => page.evaluate(() => {
   return { files: own.length, bytes, paint };
 });
 
-/** A mobile network: 150 ms to the first byte of each answer, 1.6 Mbit/s. */
+/** Emulates a mobile network: 150 ms to the first byte of each answer, 1.6 Mbit/s. */
 async function slow(page) {
   const session = await page.context().newCDPSession(page);
   await session.send("Network.enable");
@@ -61,7 +61,7 @@ for (const [name, where] of Object.entries(PAGES)) {
 
 test("over a mobile network no module waits for another, and a reload fetches none", async (t) => {
   await stand.finished();
-  // A page whose requests a test may answer itself has no cache.
+  // A page whose requests a test intercepts has no cache.
   const context = await stand.browser.chromium.newContext();
   try {
     const page = await context.newPage();

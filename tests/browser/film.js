@@ -1,5 +1,5 @@
-// A film of a page: what its browser shows, at a speed at which one can follow. Playwright's own
-// recorder wants an ffmpeg that it downloads, and runs in real time: waits would be most of it.
+// Films a page at a speed that a viewer can follow. Playwright's own recorder downloads an ffmpeg
+// and runs in real time, so most of the film would be waits.
 
 import { spawn } from "node:child_process";
 import { once } from "node:events";
@@ -7,19 +7,19 @@ import { join } from "node:path";
 
 import { SCREENSHOTS, picture } from "./browser.js";
 
-/** Pictures a second. */
+/** Frames per second. */
 const RATE = 10;
-/** So many times as fast is what is only waited for. */
+/** Speed-up of waits. */
 const FAST = 10;
-/** What is looked at stands still for so long, s. */
+/** Duration of a still, s. */
 const STILL = 2;
 
 export class Film {
-  /** Films the page from now on: `screenshots/NAME.mp4`. */
+  /** Starts filming the page: `screenshots/NAME.mp4`. */
   static async start(page, name) {
     const film = new Film(page, join(SCREENSHOTS, `${name}.mp4`));
     const size = page.viewportSize();
-    // For a picture of the whole page the browser makes its window as high as the page.
+    // For a screenshot of the whole page the browser makes its window as high as the page.
     const onFrame = ({ data, viewportHeight }) => viewportHeight === size.height && film.#take(data);
     await page.screencast.start({ onFrame, size, quality: 90 });
     return film;
@@ -28,7 +28,7 @@ export class Film {
   #last = null;
   #since = performance.now();
   #speed = 1;
-  /** Of the film, s, and what of it is written, pictures. */
+  /** Length of the film, s, and frames written. */
   #length = 0;
   #written = 0;
 
@@ -36,14 +36,14 @@ export class Film {
     this.page = page;
     this.path = path;
     const from = ["-f", "image2pipe", "-framerate", String(RATE), "-c:v", "mjpeg", "-i", "-"];
-    // Sizes that are odd, and colours that not every player knows, would be refused.
+    // Odd sizes, and pixel formats that not every player reads, would be refused.
     const as = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p", "-c:v", "libx264"];
     const options = ["-v", "error", "-y", ...from, ...as, "-preset", "veryfast", path];
     this.ffmpeg = spawn("ffmpeg", options, { stdio: ["pipe", "ignore", "inherit"] });
     this.ended = once(this.ffmpeg, "exit");
   }
 
-  /** Goes on to now with what was shown until now. */
+  /** Writes the last frame for the time until now. */
   #advance(seconds) {
     this.#length += seconds;
     this.#since = performance.now();
@@ -61,7 +61,7 @@ export class Film {
     this.#last = shown;
   }
 
-  /** Waits, which the film shows faster. */
+  /** Waits; the film shows this faster. */
   async fast(wait) {
     this.#pass();
     this.#speed = FAST;
@@ -73,14 +73,14 @@ export class Film {
     }
   }
 
-  /** What is on the page now stays for a while, and is a picture: `screenshots/NAME.png`. */
+  /** Holds the current page for a while, and saves it as `screenshots/NAME.png`. */
   async still(name) {
     this.#take(await this.page.screenshot({ type: "jpeg", quality: 90 }));
     this.#advance(STILL);
     await picture(this.page, name);
   }
 
-  /** Ends the film; its seconds. */
+  /** Ends the film; returns its length in seconds. */
   async stop() {
     await this.page.screencast.stop();
     this.#pass();

@@ -1,4 +1,4 @@
-// The list of jobs: pictures, search, filters in the address, pages, and what jobs wait for.
+// The list of jobs: pictures, search, filters in the address, paging, and the queue.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -30,7 +30,7 @@ const shows = (page, wanted) =>
 const FINISHED = "a finished <b>job</b>";
 const FAILED = "a failed (job)";
 
-both("a finished job shows a photograph as it was and as it is restored", async (width) =>
+both("a finished job shows a photograph before and after restoration", async (width) =>
   stand.visit(
     "thumbs",
     "",
@@ -56,7 +56,7 @@ both("a finished job shows a photograph as it was and as it is restored", async 
   ),
 );
 
-both("jobs are searched and filtered, and the address keeps how", async (width) =>
+both("jobs are searched and filtered, and the address keeps the filters", async (width) =>
   stand.visit(
     "search",
     "",
@@ -79,7 +79,7 @@ both("jobs are searched and filtered, and the address keeps how", async (width) 
       await presets.selectOption("preview");
       await page.getByLabel("State").selectOption("failed");
       await shows(page, [FAILED]);
-      // The way back leads to what one saw.
+      // Going back restores the list.
       await page.getByRole("link", { name: FAILED }).click();
       await seen(page.locator("h1 + .state"), "failed");
       await page.goBack();
@@ -93,7 +93,7 @@ both("jobs are searched and filtered, and the address keeps how", async (width) 
   ),
 );
 
-both("a job that failed says why in a row of its own, one that is over how long it took", (width) =>
+both("a failed job says why in a row of its own; a job that is over shows its time", (width) =>
   stand.visit(
     "failures",
     "",
@@ -110,7 +110,7 @@ both("a job that failed says why in a row of its own, one that is over how long 
     width,
   ));
 
-both("a job gets another name and tags, by which it is found", async (width) => {
+both("a job can be renamed and tagged, and is found by both", async (width) => {
   const id = await stand.job("few_poses", `to be named ${width}`);
   await server.reached(id, "failed");
   const word = `tag ${width}`;
@@ -137,7 +137,7 @@ both("a job gets another name and tags, by which it is found", async (width) => 
   await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
 });
 
-both("jobs are sorted by score, by time and by name, and the address keeps how", async (width) =>
+both("jobs are sorted by score, by time and by name, and the address keeps the order", async (width) =>
   stand.visit(
     "sorted",
     "",
@@ -177,7 +177,7 @@ both("jobs are sorted by score, by time and by name, and the address keeps how",
   ),
 );
 
-/** Jobs that the server does not have, a page of the API at a time. */
+/** Serves made-up jobs, a page of the API at a time. */
 async function many(page, number) {
   const {
     jobs: [one],
@@ -203,7 +203,7 @@ async function many(page, number) {
   return asked;
 }
 
-test("older jobs come by the API's pages, and the page says what it searched", () =>
+test("older jobs load page by page, and the list says how many it searched", () =>
   stand.visit("older", "#/captures", async (page) => {
     const asked = await many(page, 330);
     await page.getByRole("link", { name: "Jobs" }).click();
@@ -234,7 +234,7 @@ test("older jobs come by the API's pages, and the page says what it searched", (
   }));
 
 both(
-  "a job that waits says what it waits for, and a mark stays where it has the focus",
+  "a waiting job says what it waits for, and its check box keeps the focus",
   async (width) => {
     const submit = (name, plan) => server.submit(stand.folder, name, { adapter: plan });
     const ids = [
@@ -296,10 +296,10 @@ both(
   },
 );
 
-/** ms: the page says within these that the server is gone. */
+/** The page reports a lost server within this time, ms. */
 const SOON = 5000;
 
-both("a server that is gone is told in the header and in the lists, until it answers again", async (width) => {
+both("a lost server is reported in the header and in the lists until it answers again", async (width) => {
   for (const [name, words] of [
     ["jobs", "Jobs appear when it responds."],
     ["captures", "Captures appear when it responds."],

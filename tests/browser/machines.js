@@ -1,10 +1,10 @@
-// Workers as a server would tell of them, in the states that are hard to bring about.
+// Workers as a server would report them, in states that are hard to cause.
 
 const GIB = 2 ** 30;
-/** The database's clock, an hour away from everybody else's. */
+/** The database's clock is an hour ahead of the other clocks. */
 const AHEAD_MS = 3600e3;
 
-/** A worker of that host, with what is told of it. */
+/** A worker on a host, with further fields. */
 function machine(at, host, further) {
   return {
     id: `0199a3c4-0000-7000-8000-${Buffer.from(host).toString("hex").padEnd(12, "0").slice(-12)}`,
@@ -23,7 +23,7 @@ function machine(at, host, further) {
   };
 }
 
-/** One of every kind; `ids` are jobs, of which the first two run on the first of them. */
+/** A worker of every kind. The first two jobs run on the first worker, the third on the second. */
 export function machines([one, other, third] = []) {
   const now = Date.now() + AHEAD_MS;
   const at = (seconds) => new Date(now - 1000 * seconds).toISOString();
@@ -44,18 +44,18 @@ export function machines([one, other, third] = []) {
   };
 }
 
-/** Has a page told of these workers, from now on. */
+/** Makes a page see these workers from now on. */
 export const tell = (page, workers) =>
   page.route("**/v1/workers", (route) => route.fulfill({ json: workers() }));
 
-/** Has a page told of these jobs where it asks for those in a state. */
+/** Makes a page see these jobs when it asks for jobs in a state. */
 export const tellJobs = (page, jobs) =>
   page.route("**/v1/jobs?state=*", (route) => {
     const { searchParams } = new URL(route.request().url());
     return route.fulfill({ json: { jobs: jobs[searchParams.get("state")] ?? [], next_cursor: null } });
   });
 
-/** Has a page told of jobs that `change` makes of the server's. */
+/** Makes a page see the server's answers as changed by `change`. */
 export async function change(page, path, change) {
   await page.route(path, async (route) => {
     const response = await route.fetch();

@@ -1,4 +1,4 @@
-// Machines that share a database, as the dashboard shows them: one that comes, one that dies.
+// Machines that share a database, as the dashboard shows them: one joins, one dies.
 
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
@@ -15,7 +15,7 @@ import { until } from "./until.js";
 
 const GIB = 2 ** 30;
 const NEEDS = "a worker with a GPU and 12 GiB of memory";
-/** ms; ten of them are a stage, and a job begins anew on another machine. */
+/** A tenth of a stage, ms; a job starts again on another machine. */
 const SLOWLY = 1500;
 
 let postgres;
@@ -38,7 +38,7 @@ after(async () => {
   rmSync(folder, { recursive: true, force: true });
 });
 
-/** A worker that says this of itself. */
+/** Starts a worker that reports `further` about itself. */
 function work(host, further) {
   const machine = { adapter: null, has_gpu: false, cores: 4, memory: 16 * GIB, jobs: 2 };
   const about = JSON.stringify({ host, version: "0.9.0", ...machine, ...further });
@@ -52,7 +52,7 @@ function work(host, further) {
 const submit = (name, preset) =>
   stand.server.submit(stand.folder, name, { adapter: `reconstruct:${SLOWLY}` }, preset);
 
-test("a worker comes, takes what waited for it, and dies, and its job goes to the other", () =>
+test("a worker joins, takes the job waiting for it and dies, and the job moves to the other", () =>
   stand.visit("many", "#/workers", async (page) => {
     const { server } = stand;
     const row = (host) => page.locator(".workers tbody tr", { hasText: host });
@@ -82,7 +82,7 @@ test("a worker comes, takes what waited for it, and dies, and its job goes to th
     for (const id of [small, big]) await server.cancel(id);
     for (const id of [small, big]) await server.reached(id, "cancelled");
     await seen(row("strong"), "waiting for a job");
-    // One that is told to stop says so, goes, and leaves nothing behind.
+    // A worker that is asked to stop says so, ends, and leaves nothing behind.
     workers.at(-1).kill("SIGINT");
     await until("it is gone", async () => (await row("strong").count()) === 0);
     await seen(page.locator("main"), "1 worker lost. No jobs running, no room for more.");

@@ -1,5 +1,5 @@
-// Every page in every state, at the width of a phone and of a desk, light and dark, with the
-// keyboard. The jobs are played: see `Server.played`. Pictures are in screenshots/ afterwards.
+// Every page in every state, at phone and desktop width, light and dark, by keyboard. The jobs are
+// played: see `Server.played`. Screenshots are saved to screenshots/.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -10,9 +10,9 @@ import { Stand, both, button, drop, part, provoked, seen, state } from "./played
 import { until } from "./until.js";
 
 const NOWHERE = "00000000-0000-7000-8000-000000000000";
-/** ms; ten of them are a stage, and a played job that is silent for 3 s is stopped. */
+/** A tenth of a stage, ms; a played job is stopped after 3 s of silence. */
 const SLOWLY = 1500;
-/** Of a stage of 15 s, ms. */
+/** How much of a stage of 15 s may have passed, ms. */
 const ENOUGH = 5_000;
 
 let stand;
@@ -27,13 +27,13 @@ after(() => stand?.stop());
 
 let queued = null;
 
-/** Both of the server's workers are busy for a while yet, and three more jobs wait. */
+/** A queue: both of the server's workers are busy for a while, and three jobs wait. */
 async function queue() {
   queued = (await lasts(queued)) ? queued : await fill();
   return queued;
 }
 
-/** Whether a queue is still as it was made, and stays so while a page is looked at. */
+/** Whether a queue is unchanged and will last for a test; cancels its jobs otherwise. */
 async function lasts(made) {
   if (!made) return false;
   const [poses, training] = await Promise.all(made.busy.map((id) => server.job(id)));
@@ -83,14 +83,14 @@ const STATES = {
   "unknown-page": () => "#/nowhere",
 };
 
-/** What is waited for before the picture is taken. */
+/** Elements to wait for before the screenshot. */
 const SHOWN = {
   finished: async (page) => {
     await page.locator(".summary").waitFor();
     await part(page, "Files").waitFor();
-    // What is folded away may be wide, too.
+    // Folded content may also be too wide.
     await page.locator("details").evaluateAll((all) => all.forEach((one) => { one.open = true; }));
-    // Pictures are fetched when they come near.
+    // Pictures load when they come near.
     await page.locator(".shots").scrollIntoViewIfNeeded();
     await until("thumbnails are there", () => loaded(page.locator(".shots img")));
   },
@@ -100,7 +100,7 @@ const SHOWN = {
 };
 
 for (const name of Object.keys(STATES)) {
-  both(`the page "${name}" fits, light and dark, and says nothing to the console`, async (width) => {
+  both(`the page "${name}" fits, light and dark, and logs nothing to the console`, async (width) => {
     const address = await STATES[name]();
     for (const colorScheme of ["dark", "light"]) {
       await stand.visit(`page-${name}-${colorScheme}`, address, async (page, faults) => {
@@ -112,7 +112,7 @@ for (const name of Object.keys(STATES)) {
   });
 }
 
-both("a job that waits tells its place in the queue", async (width) => {
+both("a waiting job shows its position in the queue", async (width) => {
   const { waiting } = await queue();
   await stand.visit("queued", `#/jobs/${waiting[1]}`, async (page) => {
     await seen(state(page), "queued");
@@ -122,7 +122,7 @@ both("a job that waits tells its place in the queue", async (width) => {
   }, width);
 });
 
-both("the search for poses tells the time that it took so far, and no share", async (width) => {
+both("the search for poses shows its time so far, and no share", async (width) => {
   const { busy } = await queue();
   assert.ok((await server.job(busy[0])).stage_started_at);
   await stand.visit("poses", `#/jobs/${busy[0]}`, async (page) => {
@@ -137,14 +137,14 @@ both("the search for poses tells the time that it took so far, and no share", as
   }, width);
 });
 
-both("a job that trains tells its speed, what is left and the time of the stage", async (width) => {
+both("a job in training shows its speed, the time left and the time of the stage", async (width) => {
   const { busy } = await queue();
   await stand.visit("training", `#/jobs/${busy[1]}`, async (page) => {
     await seen(page.locator(".now"), /reconstruct · 25\.0 steps\/s · .* left · \d:\d\d in this stage/);
   }, width);
 });
 
-both("photographs that were left out stand on the job's page, with the reason", async (width) =>
+both("a job's page lists the photographs left out, with the reason", async (width) =>
   stand.visit("left-out", `#/jobs/${await stand.finished()}`, async (page) => {
     await seen(part(page, "Photographs"), "8 of 9 photographs used");
     await seen(part(page, "Photographs").locator("li"), /^broken\.jpg: .+/);
@@ -153,7 +153,7 @@ both("photographs that were left out stand on the job's page, with the reason", 
     assert.equal(await part(page, "Photographs").locator("tbody tr").count(), 9);
   }, width));
 
-test("a page whose modules do not come says so, and is there once they do", () =>
+test("a page whose modules fail to load says so, and appears once they load", () =>
   stand.visit("no-modules", "#/", async (page, faults) => {
     await part(page, "New job").waitFor();
     let isGone = true;
@@ -166,7 +166,7 @@ test("a page whose modules do not come says so, and is there once they do", () =
     faults.length = 0;
   }));
 
-both("what is unknown is a sentence with a way back, and no empty box", async (width) => {
+both("unknown addresses give a sentence with a link back, and no empty box", async (width) => {
   for (const [hash, words, link] of [
     [`#/jobs/${NOWHERE}`, "Job not found.", "All jobs"],
     ["#/jobs/nonsense", "Job not found.", "All jobs"],
@@ -183,7 +183,7 @@ both("what is unknown is a sentence with a way back, and no empty box", async (w
   }
 });
 
-both("deleting and cancelling a job ask first, and no is no", async (width) => {
+both("deleting and cancelling a job ask first, and can be declined", async (width) => {
   const id = await server.submit(stand.folder, `to be deleted ${width}`, { adapter: `poses:${SLOWLY}` });
   await stand.visit("dialogs", `#/jobs/${id}`, async (page) => {
     const dialog = page.getByRole("dialog");
@@ -200,7 +200,7 @@ both("deleting and cancelling a job ask first, and no is no", async (width) => {
 
     await button(page, "Delete").click();
     await seen(dialog, "The photographs are kept");
-    // The harmless answer has the focus.
+    // The safe answer has the focus.
     await page.keyboard.press("Enter");
     await dialog.waitFor({ state: "detached" });
     assert.equal((await server.job(id)).state, "cancelled");
@@ -212,7 +212,7 @@ both("deleting and cancelling a job ask first, and no is no", async (width) => {
   }, width);
 });
 
-both("a failed job says once what happened and once what to do", async (width) => {
+both("a failed job says what happened and what to do, once each", async (width) => {
   const id = await failed();
   const { error } = await server.job(id);
   await stand.visit("failed", `#/jobs/${id}`, async (page) => {
@@ -225,7 +225,7 @@ both("a failed job says once what happened and once what to do", async (width) =
 both("a failure is explained in a sentence, on the page and in the list", async (width) => {
   await stand.visit("explained", `#/jobs/${await failed()}`, async (page) => {
     await seen(page.locator(".advice"), "fled could not work out where enough of the photographs were taken.");
-    // Newer jobs may have driven it from the first page.
+    // Newer jobs may have moved it off the first page.
     await page.goto(`${server.base}/#/?state=failed`);
     await seen(page.locator("tr:has-text('a failed job') + .reason"), "too few photographs could be placed");
   }, width);
@@ -235,7 +235,7 @@ both("a failure is explained in a sentence, on the page and in the list", async 
   }, width);
 });
 
-both("what the scores mean is read by keyboard and by touch, where the scores are", async (width) =>
+both("the meaning of scores can be read beside them, by keyboard and by touch", async (width) =>
   stand.visit("meanings", `#/jobs/${await stand.finished()}`, async (page) => {
     const metrics = part(page, "Metrics by round");
     const [truth, other] = [0, 1].map((i) => metrics.locator("details.meanings").nth(i));
@@ -261,7 +261,7 @@ both("options are a list and can all be read", async (width) =>
     await seen(names, "Camera poses");
   }, width));
 
-both("a word that is one word stays on one line in the list", async (width) => {
+both("a single word stays on one line in the list", async (width) => {
   await stand.finished();
   await stand.visit("badge", "", async (page) => {
     const cell = page.locator("tbody td", { hasText: /^preview$/ }).first().locator("div");
@@ -293,7 +293,7 @@ both("the charts of a finished job repeat no label", async (width) =>
     }
   }, width));
 
-both("dropped files can be taken out again, one by one by keyboard", async (width) =>
+both("dropped files can be removed one by one by keyboard", async (width) =>
   stand.visit("dropped", "", async (page) => {
     await drop(page, ".drop", [["a.jpg", "a"], ["b.jpg", "b"], ["c.jpg", "c"]]);
     await page.getByText("3 files chosen").waitFor();
@@ -312,9 +312,9 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
     await seen(page.getByRole("alert"), "Training steps: enter a whole number");
   }, width));
 
-both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {
+both("a drop beside the box counts, and on another page leaves the page open", async (width) => {
   await stand.visit("beside", "", async (page) => {
-    // The header stands before the page listens.
+    // The header appears before the page listens.
     await page.getByLabel("Name", { exact: true }).waitFor();
     await drop(page, "header", [["a.jpg", "a"]]);
     await page.getByText("1 file chosen").waitFor();

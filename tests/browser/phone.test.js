@@ -1,4 +1,4 @@
-// A finished job on a phone: what matters first, the rest folded away and still within reach.
+// A finished job on a phone: the important parts first, the rest folded away but reachable.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -7,7 +7,7 @@ import { PHONE, overflowing } from "./browser.js";
 import { Stand, part, seen, state } from "./played.js";
 import { until } from "./until.js";
 
-/** Of the page, px: less than four screens. */
+/** Length of the page, px: less than four screens. */
 const LENGTH = 2800;
 
 let stand;
@@ -18,7 +18,7 @@ before(async () => {
 
 after(() => stand?.stop());
 
-test("a finished job is a few screens of a phone, what matters first", async () => {
+test("a finished job takes a few screens of a phone, the important parts first", async () => {
   const id = await stand.finished();
   await stand.browser.visit(
     "phone-length",
@@ -51,7 +51,7 @@ test("a finished job is a few screens of a phone, what matters first", async () 
         "in this order",
       );
       assert.ok(tops[1] < PHONE.height, "the scene is on the first screen");
-      // What is folded away is a press away.
+      // A press unfolds the rest.
       for (const [title, words] of [
         ["Time by stage", "2 · reconstruct"],
         ["Details", /All \d+ options/],

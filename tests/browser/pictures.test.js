@@ -15,7 +15,7 @@ before(async () => { stand = await Stand.start(); });
 
 after(() => stand?.stop());
 
-/** Opens the part "Views" of a finished job, its pictures loaded. */
+/** Opens the section "Views" of a finished job with its pictures loaded. */
 async function views(name, width, judge, further = {}) {
   const id = await stand.finished();
   await stand.visit(name, `#/jobs/${id}`, async (page) => {
@@ -29,7 +29,7 @@ async function views(name, width, judge, further = {}) {
 
 const scale = (root) => root.locator(".tools .soft").textContent();
 
-both("thumbnails are reached by keyboard and put on either side", (width) =>
+both("thumbnails can be put on either side by keyboard", (width) =>
   views("keyboard", width, async ({ page, root, slider }) => {
     const shots = root.locator(".shot");
     await shots.first().focus();
@@ -50,7 +50,7 @@ both("thumbnails are reached by keyboard and put on either side", (width) =>
     await until("the pictures are there", () => loaded(slider.locator("img")));
   }));
 
-test("both sides are chosen by touch, and a finger that moves up scrolls the page", () =>
+test("both sides are chosen by touch, and a vertical swipe scrolls the page", () =>
   views("touch", "phone", async ({ root, slider }) => {
     await button(root, "right").tap();
     await root.locator("figure", { hasText: "round 1, deblurred" }).getByRole("button").tap();
@@ -62,7 +62,7 @@ test("both sides are chosen by touch, and a finger that moves up scrolls the pag
     assert.equal(await slider.evaluate(action), "pan-y");
   }, { hasTouch: true, isMobile: true }));
 
-both("the bar goes to its ends, and the picture is enlarged, moved and made whole by keys", (width) =>
+both("keys move the bar to its ends, and zoom, move and reset the picture", (width) =>
   views("keys", width, async ({ page, root, slider, at }) => {
     await slider.press("Home");
     assert.equal(await at(), 0);
@@ -94,7 +94,7 @@ both("the bar goes to its ends, and the picture is enlarged, moved and made whol
     assert.equal(await scale(root), "1.0 ×");
   }));
 
-both("what is enlarged is dragged, and the bar only where it is", (width) =>
+both("a zoomed picture can be dragged, and the bar only at its own place", (width) =>
   views("drag", width, async ({ page, root, slider, at }) => {
     await button(root, "Zoom in").click();
     const before = await at();
@@ -115,7 +115,7 @@ both("what is enlarged is dragged, and the bar only where it is", (width) =>
     assert.ok(Math.abs((await at()) - 75) <= 1, `the bar is at ${await at()}`);
   }));
 
-both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (width) =>
+both("the wheel over the pictures scrolls the page, and zooms with Ctrl", (width) =>
   views("wheel", width, async ({ page, root, slider }) => {
     await over(page, slider);
     await scrolls(page);
@@ -124,13 +124,13 @@ both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (wi
     await page.mouse.wheel(0, -100);
     await page.keyboard.up("Control");
     await until("it is enlarged", async () => (await scale(root)) === "1.2 ×");
-    // The last step out is the picture's, what comes after it the page's.
+    // The last step out zooms the picture, the next ones scroll the page.
     await page.mouse.wheel(0, 100);
     await until("it is whole", async () => (await scale(root)) === "1.0 ×");
     await scrolls(page);
   }));
 
-both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
+both("the wheel over the novel view scrolls the page until a click into the view", (width) =>
   views("novel-wheel", width, async ({ page }) => {
     const map = page.getByAltText("Cameras and sparse points from above");
     assert.equal(await part(page, "Novel view").count(), 0, "the scene itself turns");
@@ -169,18 +169,18 @@ both("input and render are shown at the same brightness, and the page says how",
     assert.equal(below, "");
     assert.match(top, /^brightness\(\d/);
     await picture(page, `page-equal-${width}`);
-    // What is brightened is what is shown, also after another choice.
+    // The shown picture is brightened, also after another choice.
     await root.locator("figure", { hasText: "ground truth" }).getByRole("button").click();
     await until("now the render is the darker one", async () => (await filters())[1] === "");
     await root.getByLabel("Match brightness").uncheck();
     assert.deepEqual(await filters(), ["", ""]);
   }));
 
-/** How every picture of the view is enlarged and moved: one entry where all agree. */
+/** Zoom and shift of every picture of the view: one entry if all agree. */
 const shown = async (root) => [...new Set(await root.locator(".compare img, .shot img")
   .evaluateAll((images) => images.map((image) => image.style.transform)))];
 
-both("enlarging one picture of a view enlarges all of them, the same part of each", (width) =>
+both("zooming one picture of a view zooms all of them to the same part", (width) =>
   views("together", width, async ({ page, root, slider }) => {
     const frame = root.locator(".shot .frame").nth(1);
     await frame.scrollIntoViewIfNeeded();
@@ -196,7 +196,7 @@ both("enlarging one picture of a view enlarges all of them, the same part of eac
     const [first, ...others] = await shown(root);
     assert.deepEqual(others, []);
     assert.match(first, /scale\(1\.2\)/);
-    // After a click the wheel is the picture's.
+    // After a click the wheel zooms the picture.
     const left = await slider.locator(".left").textContent();
     await over(page, frame);
     await page.mouse.click(...await middle(frame));
@@ -220,7 +220,7 @@ both("enlarging one picture of a view enlarges all of them, the same part of eac
     assert.deepEqual(await shown(root), ["translate(0%, 0%) scale(1)"]);
   }));
 
-test("two fingers enlarge and move all pictures of a view", () =>
+test("two fingers zoom and move all pictures of a view", () =>
   views("pinch", "phone", async ({ page, root, slider, at }) => {
     const fingers = await page.context().newCDPSession(page);
     const touch = (type, ...points) => fingers.send("Input.dispatchTouchEvent",
@@ -260,7 +260,7 @@ both("equal brightness holds for all pictures of the view", (width) =>
     assert.equal(Math.max(...await gains()), 1);
   }));
 
-both("depth is a picture that the server renders once the row of pictures is near", (width) =>
+both("the server renders depth once the row of pictures is near", (width) =>
   views("depth", width, async ({ page, root, slider }) => {
     const depth = root.locator("figure", { hasText: "round 2, depth" });
     await depth.scrollIntoViewIfNeeded();
@@ -274,7 +274,7 @@ both("depth is a picture that the server renders once the row of pictures is nea
     await picture(page, `page-depth-${width}`);
   }));
 
-/** Mean of a picture as it is, 0..=1. */
+/** Mean of an unmodified picture, 0..=1. */
 const brightness = (image) => image.evaluate((one) => {
   const canvas = new OffscreenCanvas(one.naturalWidth, one.naturalHeight);
   const context = canvas.getContext("2d");
@@ -283,13 +283,13 @@ const brightness = (image) => image.evaluate((one) => {
   return data.reduce((sum, value, i) => (i % 4 === 3 ? sum : sum + value), 0) / (0.75 * data.length * 255);
 });
 
-both("what differs from the truth is a picture of its own, which no brightening touches", (width) =>
+both("the difference from ground truth is a picture that is never brightened", (width) =>
   views("difference", width, async ({ page, root, slider }) => {
     const shot = (label) => root.locator("figure", { hasText: label });
     const made = shot("restored − truth, × 4");
     await made.scrollIntoViewIfNeeded();
     await until("it is made", () => loaded(root.locator(".shot img")));
-    // The played render is the truth with nine tenths of its light.
+    // The played render is the ground truth with nine tenths of its light.
     const [far, truth] = [await brightness(made.locator("img")), await brightness(shot("ground truth").locator("img"))];
     assert.ok(Math.abs(far - 0.4 * truth) < 0.03, `${far} of ${truth}`);
     await made.getByRole("button").click();
@@ -300,7 +300,7 @@ both("what differs from the truth is a picture of its own, which no brightening 
     assert.equal(await made.locator("img").evaluate((one) => one.style.filter), "");
     if (width === "phone") await root.getByText("Viewing tips").click();
     await picture(page, `page-difference-${width}`);
-    // It is kept when another view is chosen, and made anew.
+    // The choice is kept for another view, and the difference made again.
     const before = await slider.locator(".top img").getAttribute("src");
     await root.getByRole("combobox", { name: "view" }).selectOption("003");
     await until("another one", async () => (await slider.locator(".top img").getAttribute("src")) !== before);
@@ -308,7 +308,7 @@ both("what differs from the truth is a picture of its own, which no brightening 
     await seen(slider.locator(".left"), "restored − truth, × 4");
   }));
 
-both("without truth renders are compared with the enhanced photographs, and the page says so", async (width) => {
+both("without ground truth renders are compared with the enhanced photographs, and the page says so", async (width) => {
   await stand.visit("difference-untrue", `#/jobs/${await stand.untold()}`, async (page) => {
     const root = part(page, "Views");
     const made = root.locator("figure", { hasText: "round 2, rendered − enhanced, × 4" });
@@ -322,13 +322,13 @@ both("without truth renders are compared with the enhanced photographs, and the 
   }, width);
 });
 
-test("a difference is without sign and four times as bright, white where it is more", () => {
+test("a difference has no sign, a gain of four, and is clipped at white", () => {
   const one = Uint8ClampedArray.of(10, 20, 30, 9, 0, 0, 0, 0);
   amplify(one, Uint8ClampedArray.of(5, 40, 30, 200, 255, 0, 1, 0));
   assert.deepEqual([...one], [20, 80, 0, 255, 255, 0, 4, 255]);
 });
 
-test("a gain gives the darker picture the mean of the brighter, though some of it becomes white", () => {
+test("a gain raises the darker picture to the mean of the brighter, though some of it is clipped", () => {
   const dark = [0.01, 0.05, 0.1, 0.4];
   const bright = [0.2, 0.5, 0.6, 0.9];
   const [gain, other] = gains(dark, bright);
@@ -339,20 +339,20 @@ test("a gain gives the darker picture the mean of the brighter, though some of i
   assert.deepEqual(gains([0, 0], [0, 0]), [1, 1]);
 });
 
-/** Of an element, px. */
+/** Centre of an element, px. */
 async function middle(locator) {
   const box = await locator.boundingBox();
   return [box.x + box.width / 2, box.y + box.height / 2];
 }
 
-/** Puts the pointer on the middle of an element. */
+/** Moves the pointer to the centre of an element. */
 async function over(page, locator) {
   await locator.scrollIntoViewIfNeeded();
   const box = await locator.boundingBox();
   await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
 }
 
-/** A turn of the wheel scrolls the page. */
+/** Checks that a turn of the wheel scrolls the page. */
 async function scrolls(page) {
   const before = await page.evaluate(() => scrollY);
   await page.mouse.wheel(0, 60);

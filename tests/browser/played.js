@@ -1,4 +1,4 @@
-// What the tests of the pages share: a server of played jobs, both widths, parts of a page.
+// Shared by the page tests: a server of played jobs, both widths, sections of a page.
 
 import assert from "node:assert/strict";
 import { cpSync } from "node:fs";
@@ -14,7 +14,7 @@ export const WIDTHS = {
   phone: { width: 390, height: 844 },
   desktop: { width: 1400, height: 900 },
 };
-/** Of the made-up photographs. */
+/** Size of the synthetic photographs. */
 const SIZE = "240x160";
 
 export class Stand {
@@ -22,7 +22,7 @@ export class Stand {
   static async start(further = {}) {
     const server = await Server.played(process.env.FLED, further);
     const browser = await Browser.start(server.base);
-    // The played server says that it lacks a tool, which every page would report as a fault.
+    // The played server reports a missing tool, which every page would count as a fault.
     browser.isReady = true;
     return new Stand(server, browser, server.spoilt(SIZE));
   }
@@ -36,7 +36,7 @@ export class Stand {
     await this.server?.stop();
   }
 
-  /** A job of a plan that several tests look at: the first of them submits it. Its id. */
+  /** A job of a plan, shared by several tests and submitted by the first; returns its id. */
   job(plan, name = plan) {
     const known = this.jobs.get(name) ?? this.server.submit(this.folder, name, { adapter: plan });
     this.jobs.set(name, known);
@@ -51,21 +51,21 @@ export class Stand {
     return folder;
   }
 
-  /** A played job of the capture without its ground truth, ended. */
+  /** A finished job of the capture without its ground truth. */
   async untold() {
     const id = await (this.untoldJob ??= this.server.submit(this.untrue(), "one without truth", { adapter: "ok" }));
     await this.server.reached(id, "succeeded");
     return id;
   }
 
-  /** A played job that has ended well. */
+  /** A played job that has succeeded. */
   async finished() {
     const id = await this.job("ok", "a finished <b>job</b>");
     await this.server.reached(id, "succeeded");
     return id;
   }
 
-  /** Visits a page; in the end nothing is wider than it and no box is empty. */
+  /** Visits a page; at the end nothing may be wider than it and no box empty. */
   visit(name, hash, judge, width = "desktop", further = {}) {
     const judged = async (page, faults) => {
       await judge(page, faults);
@@ -76,14 +76,14 @@ export class Stand {
   }
 }
 
-/** The titles of the parts of a page that show nothing else. */
+/** Titles of the sections of a page that show nothing else. */
 function emptyBoxes(page) {
   return page.locator("main section:visible").evaluateAll((boxes) => boxes
     .filter((box) => box.innerText.trim() === (box.querySelector("h2")?.innerText ?? "").trim())
     .map((box) => box.innerText));
 }
 
-/** The same test at both widths. */
+/** Runs a test at both widths. */
 export function both(name, judge) {
   for (const width of Object.keys(WIDTHS)) {
     test(`${name}, at ${WIDTHS[width].width} px`, () => judge(width));
@@ -97,13 +97,13 @@ export const state = (page) => page.locator("h1 + .state");
 
 export const button = (page, name) => page.getByRole("button", { name, exact: true });
 
-/** The part of a page under a title. */
+/** The section of a page with a title. */
 export function part(page, title) {
   const heading = page.getByRole("heading", { name: title, exact: true, level: 2 });
   return page.locator("section", { has: heading });
 }
 
-/** The same where it may be folded away, unfolded. */
+/** The same, unfolded if necessary. */
 export async function opened(page, title) {
   const section = part(page, title);
   await section.waitFor();
@@ -111,10 +111,10 @@ export async function opened(page, title) {
   return section;
 }
 
-/** The chart under a title. */
+/** The chart with a title. */
 export const chart = (root, title) => root.locator(".chart", { has: root.page().getByRole("heading", { name: title, level: 3 }) });
 
-/** The form that runs a finished job's photographs again, with its options: so many `steps`. */
+/** Opens the form that runs a finished job's photographs again; it must have its `steps`. */
 export async function again(page, steps) {
   await page.getByRole("link", { name: "Run again with other options" }).click();
   const form = part(page, "Run again with other options");
@@ -123,7 +123,7 @@ export async function again(page, steps) {
   return form;
 }
 
-/** Plays a video until it has moved: what the browser knows of it. */
+/** Plays a video until it has moved; returns the browser's facts about it. */
 export async function plays(player) {
   await until("the player knows it", () => player.evaluate((one) => one.readyState >= 1));
   await player.evaluate((one) => { one.muted = true; return one.play(); });
@@ -131,7 +131,7 @@ export async function plays(player) {
   return player.evaluate((one) => ({ error: one.error?.message, wide: one.videoWidth, seconds: one.duration }));
 }
 
-/** The faults are all answers of this status: what a test provoked. */
+/** Checks that all faults are answers with this status, provoked by the test. */
 export function provoked(faults, status) {
   for (const fault of faults.splice(0)) assert.match(fault, new RegExp(`\\b${status}\\b`));
 }

@@ -1,9 +1,9 @@
-// Scenes that are made up for a test.
+// Synthetic scenes for tests.
 
 const FIXED = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
 const LAST = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-/** The bytes of a scene whose n-th number of Gaussian i is `value(i, name, n)`, with `comments`. */
+/** The bytes of a scene with `comments`; number n of Gaussian i is `value(i, name, n)`. */
 export function ply(count, degree, value, announced = count, comments = []) {
   const rest = Array.from({ length: 3 * ((degree + 1) ** 2 - 1) }, (_, n) => `f_rest_${n}`);
   const names = [...FIXED, ...rest, ...LAST];
@@ -23,12 +23,12 @@ export function ply(count, degree, value, announced = count, comments = []) {
 }
 
 /**
- * What a trained scene may have and a small one of a test has not: `count` Gaussians in a ball of
- * `radius` around `centre`, long and thin ones, colours that differ much by direction.
+ * `count` Gaussians in a ball of `radius` around `centre`, long and thin, with strongly
+ * direction-dependent colours: like a trained scene, unlike the small ones of tests.
  */
 export function colourful(count, [x, y, z], radius) {
   let state = 1;
-  // Of Numerical Recipes; the same scene each time.
+  // From Numerical Recipes; gives the same scene each time.
   const random = () => (state = (1664525 * state + 1013904223) >>> 0) / 2 ** 32;
   const three = (name, range) => Object.fromEntries([0, 1, 2].map((k) => [name + k, range]));
   const ranges = {

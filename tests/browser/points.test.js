@@ -1,4 +1,4 @@
-// Cameras and sparse points in 3D, as soon as there are poses.
+// Cameras and sparse points in 3D, shown once there are poses.
 
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
@@ -12,7 +12,7 @@ let stand;
 before(async () => { stand = await Stand.start(); });
 after(() => stand?.stop());
 
-both("before a scene is trained one sees the cameras and the sparse points", async (width) => {
+both("cameras and sparse points are shown before a scene is trained", async (width) => {
   const { server } = stand;
   const plan = { adapter: "deblur:1500" };
   const id = await server.submit(stand.folder, `points at ${width}`, plan);

@@ -1,4 +1,4 @@
-// A PostgreSQL of a test's own, in a temporary folder on a free port: the system's is left alone.
+// A test's own PostgreSQL in a temporary folder on a free port, apart from the system's.
 
 import { execFileSync, spawn } from "node:child_process";
 import { chownSync, existsSync, mkdirSync, mkdtempSync, readFileSync, readdirSync, rmSync } from "node:fs";
@@ -8,17 +8,17 @@ import { join } from "node:path";
 
 import { until } from "./until.js";
 
-/** Where Debian keeps its programs, which it does not put on the path. */
+/** Debian's folder of PostgreSQL programs, which is not on the path. */
 const DEBIAN = "/usr/lib/postgresql";
 
-/** A program of the newest PostgreSQL there is. */
+/** A program of the newest PostgreSQL installed. */
 function program(name) {
   const versions = existsSync(DEBIAN) ? readdirSync(DEBIAN).sort((a, b) => Number(b) - Number(a)) : [];
   const paths = versions.map((version) => join(DEBIAN, version, "bin", name));
   return paths.find((path) => existsSync(path)) ?? name;
 }
 
-/** It refuses to run as root: then the user `postgres`, or `nobody`. */
+/** PostgreSQL refuses to run as root; then the user is `postgres` or `nobody`. */
 function user() {
   if (process.getuid() !== 0) return {};
   const users = readFileSync("/etc/passwd", "utf8").split("\n").map((line) => line.split(":"));
@@ -26,7 +26,7 @@ function user() {
   return { uid: Number(found[2]), gid: Number(found[3]) };
 }
 
-/** A port that is free just now. */
+/** A free port. */
 const free = () =>
   new Promise((resolve, reject) => {
     const taken = createServer().once("error", reject);
@@ -46,7 +46,7 @@ export class Postgres {
     const made = ["-U", "fled", "--auth=trust", "--encoding=UTF8", "--locale=C.UTF-8", "-D", data];
     execFileSync(program("initdb"), made, { ...as, cwd: folder, stdio: "ignore" });
     const port = await free();
-    // A power cut is not what is tested.
+    // Power cuts are not tested.
     const options = ["listen_addresses=127.0.0.1", "fsync=off"].flatMap((one) => ["-c", one]);
     const further = ["-D", data, "-p", String(port), "-k", folder, ...options];
     const child = spawn(program("postgres"), further, { ...as, cwd: folder, stdio: "ignore" });
@@ -72,7 +72,7 @@ export class Postgres {
 
   async stop() {
     const ended = new Promise((resolve) => { this.child.once("exit", resolve); });
-    // Whoever is still connected is cut off.
+    // Cuts open connections.
     this.child.kill("SIGINT");
     await ended;
     rmSync(this.folder, { recursive: true, force: true });

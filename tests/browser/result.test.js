@@ -1,4 +1,4 @@
-// The top of a finished job's page: the delivered round, its scores, and how it came to be.
+// The top of a finished job's page: the delivered round, its scores and its training.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -17,13 +17,13 @@ after(() => stand?.stop());
 const facts = (page) => page.locator(".summary dl > div").allInnerTexts();
 const words = (texts) => texts.map((text) => text.replace(/\s+/g, " "));
 
-both("a finished job tells what was delivered, and how good it is beside photographs only enhanced", async (width) => {
+both("a finished job shows the delivered round, and its scores beside those of the enhanced photographs", async (width) => {
   const id = await stand.finished();
   await stand.visit("summary", `#/jobs/${id}`, async (page) => {
     await page.locator(".summary").waitFor();
-    const told = words(await facts(page));
-    assert.match(told[3], /^Total time \d/);
-    assert.deepEqual(told.toSpliced(3, 1), [
+    const texts = words(await facts(page));
+    assert.match(texts[3], /^Total time \d/);
+    assert.deepEqual(texts.toSpliced(3, 1), [
       "Delivered round 2 of 2",
       "PSNR 20.50 dB held out; enhanced 15.50",
       "SSIM 0.487 held out; enhanced 0.362",
@@ -48,7 +48,7 @@ both("the curves of the training stay on a finished job's page", async (width) =
     assert.equal(await root.locator("figure").isVisible(), false, "no live view is left");
   }, width));
 
-/** Scores as a run without truth writes them: each round's own are higher, the comparable ones rise. */
+/** Scores of a run without ground truth: each round's own are higher, the comparable ones rise. */
 function scored(round) {
   const record = (reference, brightness, psnr) => ({
     split: "held_out", image: "render", reference, brightness, views: 2, psnr_db: psnr - 1, psnr_cc_db: psnr, ssim: psnr / 40,
@@ -56,7 +56,7 @@ function scored(round) {
   return [record("deblurred", "native", 33 - 3 * round), record("enhanced", "native", 31 - round), record("enhanced", "final", 25 + round)];
 }
 
-/** Opens pages of a job without truth. */
+/** Opens pages of a job without ground truth. */
 async function untrue(name, address, judge, width) {
   const id = await stand.untold();
   await stand.visit(name, "#/captures", async (page, faults) => {
@@ -70,7 +70,7 @@ async function untrue(name, address, judge, width) {
   }, width);
 }
 
-both("without truth rounds are compared by their agreement with the photographs at one brightness", async (width) =>
+both("without ground truth rounds are compared by agreement with the photographs at one brightness", async (width) =>
   untrue("agreement-rounds", (id) => `#/jobs/${id}`, async (page) => {
     const metrics = part(page, "Metrics by round");
     await seen(metrics, "this is agreement, not quality");
@@ -82,7 +82,7 @@ both("without truth rounds are compared by their agreement with the photographs 
     assert.deepEqual(words(await facts(page)).slice(0, 2), ["Delivered round 2 of 2", "Agreement with photographs 28.50 dB"]);
   }, width));
 
-test("jobs without truth are compared by the same agreement", () =>
+test("jobs without ground truth are compared by the same agreement", () =>
   untrue("agreement-compared", (id) => `#/compare/${id},00000000-0000-7000-8000-000000000000`, async (page, faults) => {
     const glance = page.getByRole("table", { name: "At a glance" });
     await seen(glance, "28.50");
@@ -90,10 +90,10 @@ test("jobs without truth are compared by the same agreement", () =>
     provoked(faults, 404);
   }, "desktop"));
 
-/** How far below the top of the window a part begins, px. */
+/** Distance of a part from the top of the window, px. */
 const below = (locator) => locator.evaluate((one) => one.getBoundingClientRect().top);
 
-both("parts of the page are links in a bar, and an address leads to one", async (width) => {
+both("a bar links to the parts of the page, and an address opens at one", async (width) => {
   const address = `#/jobs/${await stand.finished()}`;
   await stand.visit("parts", `${address}?part=metrics`, async (page) => {
     const bar = page.getByRole("navigation", { name: "Parts of this page" });

@@ -1,5 +1,5 @@
-// The scene in 3D: the same picture as the server's own at the same camera, and a panel that is
-// opened, walked through by pointer, keys and fingers, and closed.
+// The scene in 3D: the same picture as the server's at the same camera, and a panel that is opened,
+// navigated by pointer, keys and touch, and closed.
 
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
@@ -13,12 +13,12 @@ import { colourful } from "./ply.js";
 import { Server } from "./server.js";
 import { until } from "./until.js";
 
-/** dB. Both draw by the same formulas: what differs is rounding, some 60 dB. */
+/** Both draw by the same formulas and differ by rounding, some 60 dB; dB. */
 const ALIKE = 48;
-/** Another picture of the same scene is less like it than this, dB. */
+/** Different pictures of a scene agree less than this, dB. */
 const FOREIGN = 30;
 
-/** Software draws every pixel, px. */
+/** Small, as software draws every pixel, px. */
 const SMALL = { width: 640, height: 700 };
 
 let server;
@@ -33,7 +33,7 @@ before(async () => {
   await makeUp();
 });
 
-/** A few steps give a scene of plain blobs: round 1 gets one that is harder to draw. */
+/** Replaces the scene of round 1 by one that is harder to draw than the blobs of a short run. */
 async function makeUp() {
   const output = join(server.folder, "data", "jobs", id, "output");
   const cameras = JSON.parse(readFileSync(join(output, "cameras.json"), "utf8"));
@@ -55,7 +55,7 @@ const frame = (page) => page.getByRole("application");
 const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
 const choice = (page) => page.getByRole("combobox", { name: "photograph" });
 
-/** Opens the scene on the job's page and hands it over when it is shown. */
+/** Opens the scene on the job's page and passes it on once it is shown. */
 const opened = (name, judge, viewport = SMALL, further = {}) =>
   browser.visit(name, `#/jobs/${id}`, async (page, faults) => {
     await button(page, /Walk through the scene/).click();
@@ -64,18 +64,18 @@ const opened = (name, judge, viewport = SMALL, further = {}) =>
     assert.deepEqual(await overflowing(page), []);
   }, viewport, further);
 
-/** What the canvas shows, a PNG. */
+/** The canvas as a PNG. */
 const shown = (page) => page.locator(".frame canvas").first().evaluate((canvas) =>
   canvas.toDataURL("image/png").split(",")[1]);
 
-/** The same view as the server renders it, a PNG, by the page's own button. */
+/** The same view rendered by the server, as a PNG, by the page's own button. */
 async function rendered(page) {
   const asks = button(page, /^Save this view as a PNG/).click();
   const [download] = await Promise.all([page.waitForEvent("download"), asks]);
   return readFileSync(await download.path()).toString("base64");
 }
 
-/** PSNR of two PNGs, dB; `turn` makes another picture of the second. */
+/** PSNR of two PNGs, dB; `turn` transforms the second. */
 const psnr = (page, a, b, turn = "") => page.evaluate(async ([one, other, way]) => {
   const pixels = async (text, how) => {
     const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
@@ -102,7 +102,7 @@ const psnr = (page, a, b, turn = "") => page.evaluate(async ([one, other, way]) 
   return 10 * Math.log10(255 ** 2 / Math.max(sum / values, 1e-9));
 }, [a, b, turn]);
 
-/** Chooses a round, the last or the first: before it are the sparse points. */
+/** Chooses the last or the first entry of the slider; the sparse points come before the rounds. */
 async function round(page, key, words) {
   const slider = page.getByRole("slider", { name: "round" });
   await slider.press(key);
@@ -136,7 +136,7 @@ for (const [key, words] of [["Home", "Round 1"], ["End", "Round 2"]]) {
     }));
 }
 
-test("a stop brighter or two darker it is the server's picture, too", (context) =>
+test("a stop brighter or two darker it matches the server's picture", (context) =>
   opened("scene-exposure", async (page) => {
     await round(page, "Home", "Round 1");
     const slider = page.getByRole("slider", { name: "exposure" });
@@ -154,7 +154,7 @@ test("a stop brighter or two darker it is the server's picture, too", (context) 
     }
   }));
 
-test("through a wider lens it is the server's picture, too, and a photograph's camera has its own", () =>
+test("with a wider lens it matches the server's picture, and a photograph's camera restores its own", () =>
   opened("scene-lens", async (page) => {
     await round(page, "Home", "Round 1");
     const slider = page.getByRole("slider", { name: "Field of view" });
@@ -171,7 +171,7 @@ test("through a wider lens it is the server's picture, too, and a photograph's c
     assert.deepEqual([await slider.inputValue(), await shown(page)], [own, before]);
   }));
 
-test("keys lead as far as the speed says", () =>
+test("the speed scales movement by keys", () =>
   opened("scene-speed", async (page) => {
     const slider = page.getByRole("slider", { name: "Speed" });
     await slider.fill("3");
@@ -191,7 +191,7 @@ test("keys lead as far as the speed says", () =>
     assert.ok(near > far, `${near} dB near, ${far} dB far`);
   }));
 
-test("portrait photographs fill the frame, and a saved picture says job and view", async () => {
+test("portrait photographs fill the frame, and a saved picture is named by job and view", async () => {
   const turned = (camera) => ({ ...camera, width: camera.height, height: camera.width, cx: camera.cy, cy: camera.cx });
   await browser.visit("scene-portrait", "#/captures", async (page) => {
     await page.route("**/artifacts/cameras.json", async (route) => {
@@ -215,7 +215,7 @@ test("portrait photographs fill the frame, and a saved picture says job and view
   }, { width: 1000, height: 800 });
 });
 
-test("where nobody stood it is the server's picture, too, on a fine screen", (context) =>
+test("a novel view matches the server's picture, on a high-density screen", (context) =>
   opened("scene-free", async (page) => {
     await round(page, "Home", "Round 1");
     await frame(page).focus();
@@ -228,7 +228,7 @@ test("where nobody stood it is the server's picture, too, on a fine screen", (co
     assert.ok(alike > ALIKE, `${alike} dB`);
   }, SMALL, { deviceScaleFactor: 2 }));
 
-test("one turns, shifts, comes nearer, and nothing is drawn while nothing changes", () =>
+test("the view turns, pans and zooms, and nothing is drawn while nothing changes", () =>
   opened("scene-moves", async (page) => {
     const box = await frame(page).boundingBox();
     const middle = [box.x + box.width / 2, box.y + box.height / 2];
@@ -292,7 +292,7 @@ test("the wheel scrolls the page until the scene has the focus, and again after 
     assert.equal(await scrolled(), place);
   }));
 
-test("where the photographs were taken from is drawn as lines", () =>
+test("the photographs' cameras are drawn as lines", () =>
   opened("scene-cameras", async (page) => {
     await frame(page).focus();
     await page.keyboard.press("KeyS", { delay: 1200 });
@@ -310,7 +310,7 @@ test("where the photographs were taken from is drawn as lines", () =>
     await until("they are gone", async () => (await lines.isVisible()) === false);
   }));
 
-test("fingers turn and pinch, and one that moves up scrolls until the scene is tapped", () =>
+test("touch turns and pinches, and a vertical swipe scrolls until the scene is tapped", () =>
   opened("scene-touch", async (page) => {
     const hint = page.locator(".thumb");
     await hint.getByText("One finger turns, two pan and zoom").waitFor();
@@ -337,11 +337,11 @@ test("fingers turn and pinch, and one that moves up scrolls until the scene is t
     await touch("touchEnd");
     await settled(page);
     assert.notEqual(await shown(page), before, "pinched");
-    assert.equal(await hint.locator("span:visible").count(), 0, "who knows is not told again");
+    assert.equal(await hint.locator("span:visible").count(), 0, "the hint is shown only once");
     await picture(page, "page-scene-phone");
   }, PHONE, { hasTouch: true, isMobile: true }));
 
-test("it is closed, opened again, left, and gives its worker back", () =>
+test("it can be closed, opened again and left, and ends its worker", () =>
   opened("scene-closed", async (page) => {
     assert.equal(page.workers().length, 1);
     await button(page, "Close the 3D view").click();
@@ -352,7 +352,7 @@ test("it is closed, opened again, left, and gives its worker back", () =>
     await until("the worker is gone", () => page.workers().length === 0);
   }));
 
-test("a lost context says so, and the scene is opened again", () =>
+test("a lost context is reported, and the scene can be opened again", () =>
   opened("scene-lost", async (page) => {
     await page.locator(".frame canvas").first().evaluate((canvas) =>
       canvas.getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
@@ -362,7 +362,7 @@ test("a lost context says so, and the scene is opened again", () =>
     await settled(page);
   }));
 
-test("without WebGL 2 the page says what to do, and nothing of it is loaded before", () =>
+test("without WebGL 2 the page says what to do, and loads nothing of the view", () =>
   browser.visit("scene-none", `#/jobs/${id}`, async (page) => {
     await button(page, /Walk through the scene/).waitFor();
     await until("the poster is there", () => loaded(page.locator(".poster img")));
@@ -375,7 +375,7 @@ test("without WebGL 2 the page says what to do, and nothing of it is loaded befo
     assert.deepEqual(await overflowing(page), []);
   }));
 
-test("a file that is no scene is told in a sentence", async () => {
+test("a file that is no scene gives a sentence", async () => {
   const stand = await Stand.start();
   try {
     await stand.visit("scene-foreign", `#/jobs/${await stand.finished()}`, async (page) => {

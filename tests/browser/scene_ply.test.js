@@ -1,4 +1,4 @@
-// The reader of scenes, the order of blending and the mathematics of the camera, without a browser.
+// The reader of scenes, the blending order and the camera mathematics, without a browser.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -13,7 +13,7 @@ import { cameraWithin, matrixInWorld, worldOf } from "../../web/scene/world.js";
 import { sorter } from "../../web/scene/sort.js";
 import { ply } from "./ply.js";
 
-/** The same bytes as a body that comes in pieces. */
+/** The same bytes as a body that arrives in pieces. */
 const body = (bytes, piece = 997) => new ReadableStream({
   start(stream) {
     for (let at = 0; at < bytes.length; at += piece) stream.enqueue(bytes.slice(at, at + piece));
@@ -26,7 +26,7 @@ const near = (a, b, what, by = 1e-6) => assert.ok(Math.abs(a - b) < by, `${what}
 const same = (a, b, what, by) => a.forEach((value, k) => near(value, b[k], what, by));
 const plain = (i, name) => ({ rot_0: 1, x: i, y: 2, z: 3, opacity: 0 }[name] ?? 0);
 
-test("a scene of every degree is read in pieces of any size", async () => {
+test("scenes of every degree are read in pieces of any size", async () => {
   for (const degree of [0, 1, 2, 3]) {
     const bytes = ply(5, degree, (i, name, n) => (i + 1) * 0.37 - n * 0.11);
     const whole = await read(bytes, bytes.length);
@@ -36,10 +36,10 @@ test("a scene of every degree is read in pieces of any size", async () => {
   }
 });
 
-test("colours of a coefficient lie together, unlike in the file", async () => {
+test("colours of a coefficient are adjacent, unlike in the file", async () => {
   const value = (i, name) => (name.startsWith("f_rest_") ? Number(name.slice(7)) : plain(i, name));
   const { harmonics } = await read(ply(2, 2, value));
-  // 27 numbers fill seven texels; the second Gaussian begins with the eighth.
+  // 27 numbers fill seven texels; the second Gaussian starts at the eighth.
   assert.deepEqual([...harmonics.subarray(28, 34)], [0, 0, 0, 0, 8, 16]);
   assert.deepEqual([...harmonics.subarray(34, 37)], [1, 9, 17]);
 });
@@ -49,11 +49,11 @@ test("scale and rotation become a covariance, the logit an opacity", async () =>
   const shape = { scale_0: Math.log(3), scale_1: Math.log(2), rot_0: 2 * turn, rot_3: 2 * turn,
     opacity: Math.log(3) };
   const { geometry } = await read(ply(1, 0, (_, name) => shape[name] ?? 0));
-  // A quarter turn around z: the long axis lies along y.
+  // A quarter turn about z: the long axis is y.
   same([...geometry.subarray(3, 10)], [0.75, 4, 0, 0, 9, 0, 1], "opacity and covariance", 1e-5);
 });
 
-test("a world of any size and place is drawn as an ordinary one, and asked for as it is", async () => {
+test("a world of any size and place is normalised for drawing but not for requests", async () => {
   const eyes = [[0, 0, -3], [1, 0, -2.8], [-1, 0.2, -2.8]];
   const [scale, offset] = [1e-3, [512345.6, 5412345.9, 310.2]];
   const far = eyes.map((eye) => camera(eye.map((value, k) => scale * value + offset[k])));
@@ -66,7 +66,7 @@ test("a world of any size and place is drawn as an ordinary one, and asked for a
     assert.ok(eye.every((value) => Math.abs(value) < 4 * radius), `about the origin: ${eye}`);
     same(matrixInWorld(drawn[i], world).flat(), far[i].world_to_camera.flat(), "back", 1e-8);
   });
-  // The file leaves out an offset of its own, which is no business of what is drawn.
+  // The file also leaves out an offset of its own, which must not affect drawing.
   const [missing, log] = [[512344, 5412352, 312], Math.log(2 * scale)];
   const values = { x: 1.6, y: -6.1, z: -1.8, rot_0: 1, scale_0: log, scale_1: log, scale_2: log };
   const comments = ["fled: add 512344 5412352 312 to x y z for the world of the poses"];
@@ -82,7 +82,7 @@ test("a world of any size and place is drawn as an ordinary one, and asked for a
   near(sparse[GEOMETRY] - sparse[0], scale * world.scale, "points", 1e-5);
 });
 
-test("sparse points are small round Gaussians of their colour, however far a few lie off", () => {
+test("sparse points are small round Gaussians of their colour, whatever the outliers", () => {
   const point = (x, track = 2) => ({ position: [x, 1, 2], colour: [255, 128, 0], track });
   const near = [-2, -1, 0, 1, 2].map((x) => point(x));
   const { count, degree, geometry, harmonics, isGuessed } = pointsOf({ points: near });
@@ -99,14 +99,14 @@ test("sparse points are small round Gaussians of their colour, however far a few
   assert.throws(() => pointsOf({}), SceneError);
 });
 
-test("a Gaussian with numbers that are none has no opacity and is not drawn", async () => {
+test("a Gaussian with NaN has no opacity and is not drawn", async () => {
   const bad = { 1: "x", 2: "f_dc_1", 3: "rot_0" };
   const value = (i, name) => (bad[i] !== name ? plain(i, name) : i === 3 ? 0 : NaN);
   const { geometry } = await read(ply(5, 1, value));
   assert.deepEqual([...sorter(geometry)([0, 0, 1, 0], 0.01)].sort(), [0, 4]);
 });
 
-test("what is no scene is refused in a sentence", async () => {
+test("a file that is no scene is refused with a sentence", async () => {
   const bytes = ply(4, 1, plain);
   const text = (words) => new TextEncoder().encode(words);
   const header = (...properties) => text(["ply", "format binary_little_endian 1.0",
@@ -133,7 +133,7 @@ test("what is no scene is refused in a sentence", async () => {
   assert.equal(readHeader(text("pl")), null, "its end may still come");
 });
 
-test("the farthest come first, none behind the near plane, equal ones reversed", () => {
+test("sorting is farthest first, without those before the near plane, equal ones reversed", () => {
   const depths = [5, 0.02, -3, 5, 1e6, 5.0000005, 0.005, 4];
   const geometry = new Float32Array(GEOMETRY * depths.length);
   depths.forEach((z, i) => { geometry.set([0, 0, z, 0.5], GEOMETRY * i); });
@@ -156,7 +156,7 @@ test("a photograph's pose is its camera, and back", () => {
   matrixOf(pose).forEach((row, i) => same(row, rows[i], `row ${i}`));
 });
 
-test("one goes around what lies ahead and keeps looking at it", () => {
+test("orbiting keeps the view on the point ahead", () => {
   near(START.distance, 2, "how far it is");
   const right = orbited(START, AROUND, Math.PI / 2, 0);
   same(right.eye, [2, 0, 0], "to the right");
@@ -172,13 +172,13 @@ test("one goes around what lies ahead and keeps looking at it", () => {
   near(Math.hypot(...pose.eye), 2, "as far as before", 1e-4);
 });
 
-test("one who looks straight down, as from a drone, looks up again", () => {
+test("a view straight down, as from a drone, can look up again", () => {
   const down = orbited(START, { ...AROUND, up: [0, 0, -1] }, 0, 0);
   const raised = looked(down, { ...AROUND, up: [0, 0, -1] }, 0, 0.5);
   near(dot(raised.axes[2], START.axes[2]), Math.cos(0.5), "half a radian");
 });
 
-test("the head turns where one stands, feet walk where one looks", () => {
+test("turning keeps the position, and walking follows the view", () => {
   const right = looked(START, AROUND, Math.PI / 2, 0);
   same(right.axes[2], [1, 0, 0], "looks right");
   same(right.eye, START.eye, "where one stood");
@@ -187,7 +187,7 @@ test("the head turns where one stands, feet walk where one looks", () => {
   same(risen(right, AROUND, 1).eye, [0, -1, -2], "up");
 });
 
-test("one comes nearer, in the end through it, and goes no farther than far", () => {
+test("zooming in at last passes through the point, and zooming out has a limit", () => {
   const half = neared(START, AROUND, 0.5);
   same(half.eye, [0, 0, -1], "half the way");
   near(half.distance, 1, "it is nearer");
@@ -198,7 +198,7 @@ test("one comes nearer, in the end through it, and goes no farther than far", ()
   assert.ok(Math.hypot(...pose.eye) < 100, "not beyond what is far");
 });
 
-test("a flight begins and ends where it should, square all the way", () => {
+test("a flight has the right ends and orthogonal axes all the way", () => {
   const there = orbited(START, AROUND, 1.2, 0.3);
   assert.equal(between(START, there, 1), there);
   same(between(START, there, 0).eye, START.eye, "the beginning");
@@ -206,7 +206,7 @@ test("a flight begins and ends where it should, square all the way", () => {
   for (const [i, j] of [[0, 1], [0, 2], [1, 2]]) near(dot(axes[i], axes[j]), 0, "square");
 });
 
-test("photographers stand around where their lines of sight meet", () => {
+test("the ring's centre is where the lines of sight meet", () => {
   const ring = [-60, -30, 0, 30, 60].map((degrees) => {
     const angle = (degrees * Math.PI) / 180;
     const to = orbited(START, AROUND, angle, 0);
@@ -220,7 +220,7 @@ test("photographers stand around where their lines of sight meet", () => {
   assert.ok([...alone.centre, alone.radius].every(Number.isFinite), "one photograph will do");
 });
 
-test("all of a photograph is seen on another shape, and asked for of the server", () => {
+test("all of a photograph is visible on a frame of another shape, and requested from the server", () => {
   const k = fitted(camera([0, 0, 0]), 400, 400);
   assert.deepEqual(k, { width: 400, height: 400, fx: 300, fy: 300, cx: 200, cy: 200 });
   const off = fitted({ ...camera([0, 0, 0]), cx: 110 }, 400, 200);

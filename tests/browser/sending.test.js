@@ -1,4 +1,4 @@
-// Photographs on their way, when the connection, the page or the user does not stay.
+// Uploads that the connection, a reload or the user interrupts.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -17,14 +17,14 @@ before(async () => {
 
 after(() => stand?.stop());
 
-/** Chooses the photographs and a plan that ends well, and presses Start. */
+/** Chooses the photographs and a plan that succeeds, and presses Start. */
 async function start(page) {
   await page.getByLabel("Choose a folder").setInputFiles(stand.folder);
   await page.getByText("files chosen").waitFor();
   await button(page, "Start").click();
 }
 
-/** Every request about uploads from now on: `METHOD path`. */
+/** Records every request about uploads from now on: `METHOD path`. */
 function requests(page) {
   const list = [];
   page.on("request", (request) => {
@@ -36,15 +36,15 @@ function requests(page) {
 
 const of = (list, method) => list.filter((line) => line.startsWith(`${method} `));
 
-/** Waits until the page is a job's. */
+/** Waits for a job's page. */
 const arrived = (page) => page.waitForURL(/#\/jobs\/[0-9a-f-]{36}$/);
 
-/** What a lost connection leaves in the page's own log, and nothing else. */
+/** Checks that the page logged only a lost connection. */
 function lost(faults) {
   for (const fault of faults.splice(0)) assert.match(fault, /ERR_(CONNECTION|FAILED|ABORTED)/);
 }
 
-test("an upload goes on by itself when the connection breaks", () =>
+test("an upload resumes by itself after a lost connection", () =>
   stand.visit("sending-broken", "", async (page, faults) => {
     const asked = requests(page);
     let broken = 0;
@@ -65,7 +65,7 @@ test("an upload goes on by itself when the connection breaks", () =>
     lost(faults);
   }));
 
-test("after a reload the same files go on where they were", () =>
+test("after a reload the same files resume", () =>
   stand.visit("sending-reloaded", "", async (page, faults) => {
     const asked = requests(page);
     let through = 0;
@@ -79,8 +79,8 @@ test("after a reload the same files go on where they were", () =>
     });
     await start(page);
     await seen(page.locator("[role=status]"), "Connection lost");
-    // Three files are sent at once: when each of three is broken off, no answer is under way that
-    // the reload would lose.
+    // Three files are sent at once: once all three are interrupted, no answer is pending that the
+    // reload would lose.
     await until("all three are broken off", () => broken.size === 3);
     await page.unroute(PIECES);
     await page.reload();
@@ -95,11 +95,11 @@ test("after a reload the same files go on where they were", () =>
     for (const path of done) assert.ok(!asked.includes(path), `${path} was sent twice`);
   }));
 
-test("an upload is cancelled, and Start goes on where it stopped", () =>
+test("an upload can be cancelled, and Start resumes it", () =>
   stand.visit("sending-cancelled", "", async (page) => {
     const asked = requests(page);
     const pieces = () => of(asked, "PATCH");
-    // Three files are sent at once; the second three never arrive.
+    // Three files are sent at once; the second three never arrive at the server.
     await page.route(PIECES, (route) =>
       route.request().method() === "PATCH" && pieces().length > 3 ? null : route.continue());
     await start(page);

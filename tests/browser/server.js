@@ -1,4 +1,4 @@
-// The real program as a server of its own: a free port, a folder that is gone afterwards.
+// Runs the real program as a server on a free port, with a temporary folder.
 
 import { execFileSync, spawn } from "node:child_process";
 import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
@@ -8,7 +8,7 @@ import { createInterface } from "node:readline";
 
 import { until } from "./until.js";
 
-/** A job of seconds: what it computes is not judged here. */
+/** Options of a job of seconds, whose result is not judged. */
 const SMALL = {
   size: 96,
   steps: 40,
@@ -19,13 +19,13 @@ const SMALL = {
   deblur: "identity",
 };
 
-/** A program finds there what `make onnxruntime` has fetched. */
+/** The program finds the files of `make onnxruntime` here. */
 const TOP = join(import.meta.dirname, "../..");
 
-/** The end may take so long, ms. */
+/** Time limit for the end of a server, ms. */
 const FAREWELL = 10_000;
 
-/** The program beside another whose jobs are played. */
+/** The program beside this one that plays jobs. */
 export const fake = (program) => process.env.FLED_FAKE ?? join(dirname(program), "fled-fake");
 
 export class Server {
@@ -55,9 +55,9 @@ export class Server {
   }
 
   /**
-   * A server whose jobs are played, for the states of a page that a real job only passes. What a
-   * job does is planned by its option `adapter`; the name of a stage and the milliseconds of a
-   * tenth of it linger there. What `further` holds is added to its environment.
+   * A server that plays jobs, for page states that a real job only passes through. A job's plan is
+   * its option `adapter`; the name of a stage and the milliseconds of a tenth of it prolong that
+   * stage. `further` is added to its environment.
    */
   static async played(program, further = {}) {
     const server = new Server(program, mkdtempSync(join(tmpdir(), "fled-played-")));
@@ -74,13 +74,13 @@ export class Server {
     return server;
   }
 
-  /** Stops the server and starts it with what it has, with further arguments. */
+  /** Restarts the server on its data with further arguments. */
   async restart(further = []) {
     await this.#end();
     await this.#serve(further);
   }
 
-  /** Kills the server, as a power cut would, and starts it again where it was. */
+  /** Kills the server, like a power cut, and starts it again. */
   async killed() {
     const ended = new Promise((resolve) => { this.child.once("exit", resolve); });
     this.child.kill("SIGKILL");
@@ -102,7 +102,7 @@ export class Server {
     });
   }
 
-  /** A token that may do everything, or less; from the first one on the server asks for it. */
+  /** Creates a token with a scope; from the first one on the server requires a token. */
   token(scope = "admin") {
     const data = join(this.folder, "data");
     const said = execFileSync(
@@ -129,7 +129,7 @@ export class Server {
     }
   }
 
-  /** A folder of small dark photographs with their poses and their ground truth. */
+  /** A folder of small dark photographs with poses and ground truth. */
   capture(size = "96x64", views = 8, room = "0", layout = "lush") {
     const folder = join(this.folder, "capture");
     const options = ["--views", String(views), "--size", size, "--room", room, "--layout", layout];
@@ -137,14 +137,14 @@ export class Server {
     return folder;
   }
 
-  /** The capture, its poses by name, with a file among its photographs that is none. */
+  /** The capture, its poses by name, with one file that is not a photograph. */
   spoilt(size) {
     const folder = this.capture(size, 8, "0", "transforms");
     writeFileSync(join(folder, "images", "broken.jpg"), "no photograph");
     return folder;
   }
 
-  /** Submits a small job of the capture with further options; its id. */
+  /** Submits a small job of the capture with further options; returns its id. */
   async submit(capture, name, options = {}, preset = "preview") {
     const body = new FormData();
     body.append("name", name);
@@ -157,27 +157,27 @@ export class Server {
     return id;
   }
 
-  /** The job as the API shows it. */
+  /** The job as in the API. */
   job(id) {
     return this.#json(`/v1/jobs/${id}`);
   }
 
-  /** Waits until a job is so far as `probe` says of it. */
+  /** Waits until `probe` accepts a job. */
   when(id, what, probe, patience) {
     return until(`job ${id} ${what}`, async () => probe(await this.job(id)), patience);
   }
 
-  /** Ends a job in whatever state it is. */
+  /** Cancels a job in any state. */
   cancel(id) {
     return this.#json(`/v1/jobs/${id}/cancel`, { method: "POST" });
   }
 
-  /** The scores of a job as the API shows them. */
+  /** The scores of a job as in the API. */
   rounds(id) {
     return this.#json(`/v1/jobs/${id}/rounds`);
   }
 
-  /** Waits until a job is over, in `state`. */
+  /** Waits until a job has ended in `state`. */
   async reached(id, state, patience) {
     const name = await this.when(id, "is over", (job) => job.finished_at && job.state, patience);
     if (name !== state) {
@@ -194,7 +194,7 @@ export class Server {
   }
 }
 
-/** Every file of a folder and of those in it. */
+/** Every file below a folder. */
 function files(folder) {
   return readdirSync(folder, { withFileTypes: true }).flatMap((entry) => {
     const path = join(folder, entry.name);

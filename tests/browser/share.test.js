@@ -1,4 +1,4 @@
-// A job is shown to somebody without a token: one browser makes the link, another opens it.
+// Shares a job with a user without a token: one browser makes the link, another opens it.
 
 import assert from "node:assert/strict";
 import { once } from "node:events";
@@ -27,14 +27,14 @@ after(async () => {
 
 const button = (page, name) => page.getByRole("button", { name, exact: true });
 
-test("without tokens there is nothing to share", async () => {
+test("without tokens there are no links", async () => {
   await owner.visit("unshared", `#/jobs/${id}`, async (page) => {
     await page.getByRole("heading", { name: "Files", exact: true }).waitFor();
     assert.equal(await button(page, "Create link").count(), 0);
   });
 });
 
-test("another page shows the scene in a frame, and nothing else of the server", async () => {
+test("another page shows only the scene in a frame", async () => {
   const token = server.token();
   const headers = { Authorization: `Bearer ${token}`, "Content-Type": "application/json" };
   const made = await fetch(`${server.base}/v1/jobs/${id}/shares`, { method: "POST", headers, body: '{"name":"a blog"}' });
@@ -51,7 +51,7 @@ test("another page shows the scene in a frame, and nothing else of the server", 
     const page = await context.newPage();
     const faults = [];
     page.on("pageerror", (error) => faults.push(error.message));
-    // Another site for the browser, as cookies see it.
+    // A different site for cookies.
     const address = `http://localhost:${blog.address().port}`;
     await page.goto(address);
     const frame = page.frameLocator("iframe");
@@ -72,7 +72,7 @@ test("another page shows the scene in a frame, and nothing else of the server", 
   }
 });
 
-test("a link opens its job alone, until it is ended", async () => {
+test("a link opens only its job, until it is revoked", async () => {
   const token = server.token();
   await owner.visit("sharing", `#/jobs/${id}`, async (page) => {
     await page.getByLabel("Token").fill(token);
@@ -93,10 +93,10 @@ test("a link opens its job alone, until it is ended", async () => {
       assert.deepEqual(await overflowing(visitor), []);
       await visitor.getByRole("button", { name: "Walk through the scene" }).click();
       await visitor.locator(".frame[aria-busy=false]").waitFor();
-      // Wherever they go, they are at this job.
+      // Every address shows this job.
       await visitor.goto(`${server.base}/#/`);
       await visitor.getByRole("heading", { name: "for others" }).waitFor();
-      // A browser fetches a strip of pictures once it comes near.
+      // The browser loads a strip of pictures once it comes near.
       await visitor.getByRole("group", { name: "Pictures of the view" }).scrollIntoViewIfNeeded();
       await until("its pictures are there", () => loaded(visitor.locator("img[src]")));
     }, PHONE);
@@ -110,7 +110,7 @@ test("a link opens its job alone, until it is ended", async () => {
     await owner.visit("ended link", link.slice(server.base.length + 1), async (visitor, faults) => {
       await visitor.getByText("This link does not work").waitFor();
       assert.deepEqual(await overflowing(visitor), []);
-      // Each refusal is reported by the browser itself, too.
+      // The browser itself also reports each refusal.
       for (const fault of faults.splice(0)) assert.match(fault, /\b401\b/);
     });
   });

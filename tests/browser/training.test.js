@@ -1,4 +1,4 @@
-// How a job trains, drawn while it does.
+// The live curves and view of a job in training.
 
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
@@ -12,22 +12,22 @@ let stand;
 before(async () => { stand = await Stand.start(); });
 after(() => stand?.stop());
 
-/** Steps come one in so many ms, so that one can look. */
+/** Slows the steps, so that there is time to look. */
 const PLAN = "reconstruct:1500";
 
-/** Opens the page of a job that trains as `options` say, and ends the job. */
+/** Opens the page of a job that trains with `options`, and cancels the job afterwards. */
 async function training(name, width, judge, { folder = stand.folder, options = {} } = {}) {
   const { server } = stand;
   const id = await server.submit(folder, `${name} at ${width}`, { adapter: PLAN, ...options });
   try {
     await stand.visit(name, `#/jobs/${id}`, (page) => judge(page, part(page, "Training"), id), width);
   } finally {
-    // A test may have ended it already.
+    // The test may have cancelled it already.
     await server.cancel(id).catch(() => {});
   }
 }
 
-/** Titles of what is drawn, in order. */
+/** Titles of the visible charts, in order. */
 const drawn = (root) => root.locator("h3:visible").allInnerTexts();
 
 both("the loss is drawn step by step, and again after a reload", (width) =>
@@ -41,7 +41,7 @@ both("the loss is drawn step by step, and again after a reload", (width) =>
     await until("nothing is being fetched", () => loaded(root.locator("figure img")));
     await page.reload();
     await seen(root, "Gaussians");
-    assert.ok(await dots() >= before, "what was told before the page is drawn, too");
+    assert.ok(await dots() >= before, "events before the page was opened are drawn, too");
     assert.equal(await loss.locator("path.line").count(), 1);
     await seen(loss, "round 1");
   }));
@@ -68,7 +68,7 @@ both("held-out views are scored beside it, and one view is shown until the job e
     assert.ok((await scores()) > 2, "the curves stay");
   }));
 
-both("without truth the page says that scores are of agreement", (width) =>
+both("without ground truth the page says that scores measure agreement", (width) =>
   training("agreement", width, async (page, root) => {
     await seen(root, "Agreement, PSNR of 3 held-out views, dB");
     await seen(root, "agreement, not quality: both can be wrong in the same way");
@@ -77,7 +77,7 @@ both("without truth the page says that scores are of agreement", (width) =>
     await picture(page, `page-agreement-${width}`);
   }, { folder: stand.untrue() }));
 
-both("where no view is held out there are no scores, and the view that is shown trains", (width) =>
+both("without held-out views there are no scores, and a training view is shown", (width) =>
   training("nothing-held-out", width, async (page, root) => {
     await seen(root.locator("figcaption"), /^000 \(training view\), round 1, step/);
     await seen(root, "Gaussians");

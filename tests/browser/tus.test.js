@@ -1,4 +1,4 @@
-// Uploads in pieces by a client that is not ours: tus-js-client against the real program.
+// Uploads in pieces by a third-party client: tus-js-client against the real program.
 
 import assert from "node:assert/strict";
 import { randomBytes } from "node:crypto";
@@ -10,7 +10,7 @@ import * as tus from "tus-js-client";
 
 import { Server } from "./server.js";
 
-/** Between attempts, ms: together longer than the server waits for who had the upload before. */
+/** Delays between attempts, ms; together longer than the server's lock of an upload. */
 const DELAYS = [50, 200, 500, 1000, 2000, 4000, 8000];
 
 const MEBIBYTE = 1 << 20;
@@ -23,7 +23,7 @@ before(async () => {
 
 after(() => server?.stop());
 
-/** The id of a finished upload; `further` are options of the client. */
+/** Uploads a file and returns the upload's id; `further` are options of the client. */
 function sent(content, filename, further = {}) {
   return new Promise((resolve, reject) => {
     const upload = new tus.Upload(content, {
@@ -41,7 +41,7 @@ function sent(content, filename, further = {}) {
 
 const stored = (id) => readFileSync(join(server.folder, "data/uploads", id));
 
-test("photographs that come in pieces become a capture", async () => {
+test("photographs uploaded in pieces become a capture", async () => {
   const folder = join(server.capture(), "images");
   const names = readdirSync(folder);
   const uploads = await Promise.all(names.map((name) => (
@@ -61,7 +61,7 @@ test("photographs that come in pieces become a capture", async () => {
   }
 });
 
-test("an upload goes on when the server was killed in the middle of it", async () => {
+test("an upload resumes after the server was killed in the middle of it", async () => {
   const content = randomBytes(24 * MEBIBYTE);
   let again = null;
   const offsets = [];
@@ -79,7 +79,7 @@ test("an upload goes on when the server was killed in the middle of it", async (
   assert.ok(offsets.some((offset) => offset >= 10 * MEBIBYTE), `it went on at ${offsets}`);
 });
 
-test("an upload goes on from another connection while the first one hangs", async () => {
+test("an upload resumes on another connection while the first one hangs", async () => {
   const content = randomBytes(4 * MEBIBYTE);
   const { host } = new URL(server.base);
   const begun = await fetch(`${server.base}/v1/uploads`, {
@@ -91,7 +91,7 @@ test("an upload goes on from another connection while the first one hangs", asyn
     },
   });
   const path = begun.headers.get("Location");
-  // A body that never ends: its client is gone, and nobody has told the server.
+  // A body that never ends, as if the client had vanished without closing its connection.
   const gone = new AbortController();
   const body = new ReadableStream({
     start: (controller) => controller.enqueue(content.subarray(0, MEBIBYTE)),

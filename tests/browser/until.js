@@ -1,11 +1,11 @@
-// Waiting, with words for what never came.
+// Waiting with a message on timeout.
 
 import { setTimeout as sleep } from "node:timers/promises";
 
-/** A small job takes seconds alone, but the machine may be busy. */
+/** Default timeout, ms: a small job takes seconds, but the machine may be busy. */
 export const PATIENCE = 60_000;
 
-/** Asks again and again; what `probe` answers first that is not falsy. */
+/** Polls `probe` and returns its first truthy result. */
 export async function until(what, probe, patience = PATIENCE) {
   const end = Date.now() + patience;
   for (;;) {

@@ -1,4 +1,4 @@
-// Videos and exports of a finished job: made, played, fetched, deleted with a question asked.
+// Videos and exports of a finished job: made, played, downloaded, deleted after confirmation.
 
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
@@ -18,14 +18,14 @@ before(async () => {
 
 after(() => stand?.stop());
 
-/** A job of its own, so that no test finds another's videos. */
+/** A separate job, so that no test finds another's videos. */
 async function finished(name) {
   const id = await stand.job("splats", name);
   await server.reached(id, "succeeded");
   return id;
 }
 
-/** Asks for a video by the API: with 5 pictures a second it is slow, with 7 it fails. */
+/** Requests a video from the API: with 5 pictures a second it is slow, with 7 it fails. */
 async function ask(id, body) {
   const headers = { "Content-Type": "application/json" };
   const order = { method: "POST", headers, body: JSON.stringify({ kind: "orbit", ...body }) };
@@ -33,7 +33,7 @@ async function ask(id, body) {
   assert.equal(response.status, 202);
 }
 
-both("a video is asked for, made, played, fetched and deleted", async (width) => {
+both("a video is requested, made, played, downloaded and deleted", async (width) => {
   const id = await finished(`filmed ${width}`);
   await stand.visit("video", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Videos");
@@ -62,14 +62,14 @@ both("a video is asked for, made, played, fetched and deleted", async (width) =>
   }, width);
 });
 
-both("videos that are made, wait and failed say so, and one is cancelled", async (width) => {
+both("running, waiting and failed videos say so, and one is cancelled", async (width) => {
   const id = await finished(`waiting ${width}`);
   await ask(id, { fps: 7 });
   await ask(id, { fps: 5, seconds: 60, width: 128 });
   await ask(id, { fps: 5, seconds: 2, width: 128, kind: "cameras" });
   await stand.visit("videos-waiting", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Videos");
-    // The one that fails is tried again between the others.
+    // The failing one is retried between the others.
     await seen(section.locator("li"), /waiting for [12] other videos?/);
     const running = section.locator("li", { hasText: "Around the scene, 60 s" });
     await seen(running, /[1-9]\d* %/);
@@ -97,7 +97,7 @@ test("a server that cannot make one says what to do", async () => {
   });
 });
 
-both("what other programs go on from is fetched from the page", async (width) => {
+both("exports for other programs are downloaded from the page", async (width) => {
   const id = await finished(`exported ${width}`);
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Export");

@@ -1,6 +1,5 @@
-// A walk of somebody who comes with photographs, step by step with real jobs: nothing is played,
-// and poses are searched for. screenshots/walk.mp4 is the film of it, walk-1.png and so on are what
-// each step leaves on the page.
+// A new user's walk through the dashboard with real jobs, including the search for poses. It is
+// filmed as screenshots/walk.mp4; walk-1.png and so on show the page after each step.
 
 import assert from "node:assert/strict";
 import { existsSync, readFileSync, readdirSync } from "node:fs";
@@ -13,12 +12,12 @@ import { again, button, chart, drop, opened, part, plays, seen, state } from "./
 import { Server } from "./server.js";
 import { until } from "./until.js";
 
-/** Alone on two cores the longest wait is a minute, ms. */
+/** Timeout, ms; on two idle cores the longest wait is a minute. */
 const LONG = 600_000;
 
 const FIRST = "Study at dusk";
 const SECOND = "Study, without kernels";
-/** A round trains for some twenty seconds, so that one can look. */
+/** A round trains for some twenty seconds, long enough to look at. */
 const OPTIONS = { size: 240, steps: 600 };
 const BROKEN = 12;
 
@@ -40,7 +39,7 @@ after(async () => {
   await server?.stop();
 });
 
-/** As a camera names them, one of them cut off in the middle: `[name, bytes]`. */
+/** The photographs with a camera's names, one of them truncated: `[name, bytes]`. */
 function taken(capture) {
   const folder = join(capture, "images");
   return readdirSync(folder).sort().map((name, i) => {
@@ -99,7 +98,7 @@ async function curved(page, film) {
 
 const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
 
-/** What the scene's canvas shows. */
+/** The picture on the scene's canvas. */
 const shown = (page) => page.locator(".frame canvas").first().evaluate((one) => one.toDataURL());
 
 async function flown(page, film) {
@@ -130,7 +129,7 @@ async function finished(page, film) {
   await seen(state(page), "succeeded");
   const metrics = part(page, "Metrics by round");
   await seen(metrics, "This capture has no ground truth");
-  await until("both rounds are told", async () => (await metrics.locator("tbody tr").count()) === 2);
+  await until("both rounds are listed", async () => (await metrics.locator("tbody tr").count()) === 2);
   await seen(page.locator(".rounds"), "Round 1");
   await button(page, "Close the 3D view").click();
   const views = part(page, "Views");
@@ -204,7 +203,7 @@ async function deleted(page, film) {
 
 const STEPS = [dropped, accepted, posed, curved, flown, finished, repeated, compared, filmed, deleted];
 
-test("photographs are dropped, become a scene that is walked through, and leave nothing", (t) =>
+test("dropped photographs become a scene to walk through, and are deleted without a trace", (t) =>
   browser.visit("walk", "", async (page) => {
     const film = await Film.start(page, "walk");
     try {

@@ -1,4 +1,4 @@
-// The page of workers: who sees it, what it says of each, and how it keeps up.
+// The page of workers: access, the facts of each worker, and refreshing.
 
 import assert from "node:assert/strict";
 import { after, afterEach, before, test } from "node:test";
@@ -19,9 +19,9 @@ const ABOUT = {
   memory: 16 * 2 ** 30,
   jobs: 2,
 };
-/** ms; ten of them are a stage. After three seconds without a word a job is taken for dead. */
+/** A tenth of a stage, ms. A job counts as dead after three seconds of silence. */
 const SLOWLY = 1500;
-/** The page asks every five seconds. */
+/** The page refreshes every five seconds. */
 const ROUND_MS = 5500;
 
 let stand;
@@ -34,7 +34,7 @@ before(async () => {
 
 after(() => stand?.stop());
 
-/** What a test has left, whatever came of it, would keep the next one waiting. */
+/** A job left by a test, passed or failed, would delay the next one. */
 afterEach(async () => {
   for (const state of ["queued", "running"]) {
     const { jobs } = await (await fetch(`${server.base}/v1/jobs?state=${state}`)).json();
@@ -48,7 +48,7 @@ const row = (page, host) => page.locator(".workers tbody tr", { hasText: host })
 
 const tab = (page) => page.getByRole("navigation").getByRole("link", { name: "Workers" });
 
-/** What a page asks from now on whose address has this. */
+/** Records a page's requests from now on whose address contains `what`. */
 function questions(page, what) {
   const asked = [];
   page.on("request", (request) => {
@@ -57,7 +57,7 @@ function questions(page, what) {
   return asked;
 }
 
-/** Has the page be hidden, or seen again, for its scripts. */
+/** Makes the page hidden or visible to its scripts. */
 const hide = (page, isHidden) =>
   page.evaluate((hidden) => {
     Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
@@ -70,7 +70,7 @@ async function busy(name) {
   return id;
 }
 
-both("a worker says what it is and does, and its jobs are a link away", async (width) => {
+both("a worker shows its hardware and activity, and links to its jobs", async (width) => {
   const id = await busy(`busy <b>${width}</b>`);
   await stand.visit(
     "workers",
@@ -101,7 +101,7 @@ both("a worker says what it is and does, and its jobs are a link away", async (w
   );
 });
 
-test("an idle worker waits for a job, and nothing waits for it", () =>
+test("an idle worker waits for a job, and no job waits", () =>
   stand.visit("workers-idle", "#/workers", async (page) => {
     await seen(row(page, HOST), "waiting for a job");
     await seen(row(page, HOST), "no jobs");
@@ -109,14 +109,14 @@ test("an idle worker waits for a job, and nothing waits for it", () =>
     assert.equal(await page.title(), "Workers · fled");
   }));
 
-both("what stops, what is lost and what differs is said in words", async (width) => {
+both("stopping, lost and differing workers are described in words", async (width) => {
   const id = await busy(`of three ${width}`);
   await stand.visit(
     "workers-states",
     "#/api",
     async (page) => {
-      const told = machines([id, "0199a3c4-0000-7000-8000-00000000aaaa"]);
-      await tell(page, () => told);
+      const answer = machines([id, "0199a3c4-0000-7000-8000-00000000aaaa"]);
+      await tell(page, () => answer);
       await tab(page).click();
       const text = async (host) => (await row(page, host).innerText()).replace(/\s+/g, " ");
       await row(page, "plain").waitFor();
@@ -141,15 +141,15 @@ both("what stops, what is lost and what differs is said in words", async (width)
   );
 });
 
-test("it keeps up with focus, selection and scroll where they are, and rests while it is hidden", async () => {
+test("refreshing keeps focus, selection and scroll, and pauses while the page is hidden", async () => {
   const id = await busy("kept in sight");
   await stand.visit(
     "workers-fresh",
     "#/workers",
     async (page) => {
-      let told = machines([id]);
-      await tell(page, () => told);
-      // The head asks for the workers, too, for its link.
+      let answer = machines([id]);
+      await tell(page, () => answer);
+      // The page's header also requests the workers, for its link.
       const asked = questions(page, "/v1/jobs?state=queued");
       const link = row(page, "gpu-10").getByRole("link");
       await link.focus();
@@ -159,23 +159,23 @@ test("it keeps up with focus, selection and scroll where they are, and rests whi
       const place = () => page.evaluate((one) => [scrollY, one.getBoundingClientRect().top], at);
       const before = await place();
       assert.ok(before[0] > 0, "the page is long enough to be scrolled");
-      told = machines([id]);
-      told.workers[0].running[0].steps_per_second = 77.7;
-      told.workers[1].state = "works";
+      answer = machines([id]);
+      answer.workers[0].running[0].steps_per_second = 77.7;
+      answer.workers[1].state = "works";
       await seen(row(page, "gpu-10"), "77.7 steps/s");
       await seen(row(page, "gpu-2"), "waiting for a job");
       assert.equal(await link.evaluate((one) => one === document.activeElement), true);
       assert.equal(await at.evaluate((one) => one.isConnected), true);
       assert.match(await page.evaluate(() => String(getSelection())), /soft/);
       assert.deepEqual(await place(), before);
-      // One that goes takes its row along; the others' stay.
-      told = { ...told, workers: told.workers.filter(({ host }) => host !== "plain") };
+      // A worker that leaves takes its row with it; the other rows stay.
+      answer = { ...answer, workers: answer.workers.filter(({ host }) => host !== "plain") };
       await until("it is gone", async () => (await row(page, "plain").count()) === 0);
       assert.equal(await at.evaluate((one) => one.isConnected), true);
       await hide(page, true);
       const had = asked.length;
       await page.waitForTimeout(2 * ROUND_MS);
-      assert.equal(asked.length, had, "nobody looks");
+      assert.equal(asked.length, had, "a hidden page does not refresh");
       await hide(page, false);
       await until("it asks at once", () => asked.length === had + 1, 2000);
       await until("and again", () => asked.length === had + 2);
@@ -188,7 +188,7 @@ test("it keeps up with focus, selection and scroll where they are, and rests whi
   );
 });
 
-test("what the server refuses is told, what was there stays, and it goes on by itself", () =>
+test("errors are shown above the last data, and the page recovers by itself", () =>
   stand.visit("workers-away", "#/workers", async (page, faults) => {
     await row(page, HOST).waitFor();
     const alert = page.locator("main").getByRole("alert");
@@ -201,13 +201,13 @@ test("what the server refuses is told, what was there stays, and it goes on by i
     await page.route("**/v1/workers", (route) => route.abort());
     await seen(alert, "The server is not responding.");
     await page.unroute("**/v1/workers");
-    // What is empty is no alert.
+    // An empty element is not an alert.
     await until("it is said no more", async () => (await alert.count()) === 0);
     // Answered with 500 or not at all.
     for (const fault of faults.splice(0)) assert.match(fault, /\b500\b|ERR_FAILED/);
   }));
 
-both("jobs that need more than any worker say so on their page, in the list and among what waits", async (width) => {
+both("jobs that need more than any worker say so on their page, in the list and among waiting jobs", async (width) => {
   const needs = "a worker with a GPU and 12 GiB of memory";
   await busy(`busy 1 ${width}`);
   await busy(`busy 2 ${width}`);
@@ -237,7 +237,7 @@ both("jobs that need more than any worker say so on their page, in the list and 
   );
 });
 
-test("where a server works alone no link leads there, and the page says why it is empty", async () => {
+test("without workers no link leads to the page, and the page says why it is empty", async () => {
   const alone = await Stand.start();
   try {
     await alone.visit("workers-alone", "#/captures", async (page) => {
@@ -256,7 +256,7 @@ test("where a server works alone no link leads there, and the page says why it i
   }
 });
 
-test("who may not see everything is not asked, and is told what that needs", async () => {
+test("without the scope the page does not ask for workers, and names the scope", async () => {
   const locked = await Server.start(process.env.FLED);
   try {
     const [token, admin] = [locked.token("jobs:read"), locked.token()];

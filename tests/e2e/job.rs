@@ -126,12 +126,12 @@ fn only_discarded_work_is_deblurred_again_for_new_training() {
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
     let log = || fs::read_to_string(out.join("log.txt")).expect("log.txt");
-    let mut told = 0;
+    let mut read = 0;
     let mut run = |arguments: &[&str]| {
         succeed(small_run(&capture, &out, 1).args(arguments));
         let whole = log();
-        let said = whole[told..].to_owned();
-        told = whole.len();
+        let said = whole[read..].to_owned();
+        read = whole.len();
         said
     };
     run(&[]);

@@ -33,7 +33,7 @@ fn scene(folder: &Path, colour: [f32; 3], masked: bool) -> Vec<u8> {
     // Without COLMAP, the points are drawn from the seed; COLMAP's differ each time.
     command.env("PATH", "/nowhere").arg("run").arg(&capture).arg("--out").arg(&out);
     command.args(["--preset", "preview", "--cache", "none"]);
-    // A network would spread what it sees below the mask.
+    // A network would spread the content below the mask.
     for set in
         ["size=64", "steps=30", "rounds=1", "cap=500", "pose_source=given", "deblur=identity"]
     {

@@ -1,4 +1,4 @@
-//! Tests of `fled models`, and of the user's own networks.
+//! Tests of `fled models`, and of a user's own networks.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;

@@ -9,10 +9,10 @@ use serde_json::{Map, Value, json};
 
 use crate::support::{fled, json, small_capture, succeed};
 
-/// The column of docs/paper.md that says what the preset does.
+/// The column of docs/paper.md with the preset's options.
 const DOES: usize = 3;
 
-/// The options that a page's tables state, each once.
+/// The options in a page's tables, each once.
 fn stated(page: &str) -> BTreeMap<String, String> {
     let mut options = BTreeMap::new();
     for row in page.lines().filter(|line| line.starts_with('|')) {
@@ -26,7 +26,7 @@ fn stated(page: &str) -> BTreeMap<String, String> {
     options
 }
 
-/// The faults of a page: options that it leaves out or states otherwise than the preset has them.
+/// The faults of a page: options that it omits, or that differ from the preset's.
 fn faults(page: &str) -> Vec<String> {
     let (preset, stated) = (Preset::Paper.options(), stated(page));
     let all = json!(preset);
@@ -66,7 +66,7 @@ fn the_preset_runs_as_the_page_states() {
     let out = home.path().join("out");
     let overrides = [("size", 64), ("steps", 110), ("cap", 1_000)];
     let mut run = fled();
-    // Nothing but the preset's own choice may leave the networks for key points out.
+    // Only the preset's own choice may leave out the networks for key points.
     run.env("PATH", "/nowhere").env("FLED_MATCHER", "/nowhere");
     run.arg("run").arg(&capture).arg("--out").arg(&out);
     run.args(["--preset", "paper", "--cache", "none"]);

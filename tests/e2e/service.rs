@@ -204,7 +204,7 @@ fn check_artifacts(server: &Server, job: &str) {
 }
 
 /// Checks that a photograph's view renders as in the pipeline, and other aspect ratios as in
-/// `fled render`: with square pixels.
+/// `fled render`, with square pixels.
 fn check_views(server: &Server, job: &str) {
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let camera =

@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::support::{json, small_capture, small_run, succeed};
 
 /// The events with these names from a run of one round, in order.
-fn told(capture: &Path, out: &Path, options: &[&str], names: &[&str]) -> Vec<Value> {
+fn events_of(capture: &Path, out: &Path, options: &[&str], names: &[&str]) -> Vec<Value> {
     let mut run = small_run(capture, out, 1);
     for set in ["steps=120"].iter().chain(options) {
         run.args(["--set", set]);
@@ -27,16 +27,16 @@ fn training_reports_scores_and_a_picture_of_held_out_views() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
-    let events = told(&capture, &out, &[], &["held_out_seen", "view_seen"]);
+    let events = events_of(&capture, &out, &[], &["held_out_seen", "view_seen"]);
     let (scores, pictures): (Vec<_>, Vec<_>) =
         events.iter().partition(|event| event["event"] == "held_out_seen");
-    let steps: Vec<_> = scores.iter().map(|told| told["step"].as_u64()).collect();
+    let steps: Vec<_> = scores.iter().map(|event| event["step"].as_u64()).collect();
     assert_eq!(steps, [Some(100), Some(120)]);
-    for told in &scores {
+    for event in &scores {
         assert_eq!(
-            (&told["round"], &told["steps"], &told["views"], &told["truth"]),
+            (&event["round"], &event["steps"], &event["views"], &event["truth"]),
             (&1.into(), &120.into(), &2.into(), &true.into()),
-            "{told}"
+            "{event}"
         );
     }
     // The last step's score is close to the round's score, whose pictures are twice as large.
@@ -70,13 +70,13 @@ fn live_scores_need_held_out_views_but_not_truth() {
     let capture = small_capture(folder.path());
     fs::remove_dir_all(capture.join("HL")).expect("ground truth");
     let names = ["held_out_seen", "view_seen"];
-    let own = told(&capture, &folder.path().join("own"), &[], &names);
-    let scores: Vec<_> = own.iter().filter(|told| told["event"] == "held_out_seen").collect();
-    assert!(!scores.is_empty() && scores.iter().all(|told| told["truth"] == false));
+    let own = events_of(&capture, &folder.path().join("own"), &[], &names);
+    let scores: Vec<_> = own.iter().filter(|event| event["event"] == "held_out_seen").collect();
+    assert!(!scores.is_empty() && scores.iter().all(|event| event["truth"] == false));
     let all_train = ["held_out=none"];
-    let none = told(&capture, &folder.path().join("none"), &all_train, &names);
+    let none = events_of(&capture, &folder.path().join("none"), &all_train, &names);
     assert!(!none.is_empty(), "a picture");
-    for told in none {
-        assert_eq!((&told["event"], &told["held_out"]), (&"view_seen".into(), &false.into()));
+    for event in none {
+        assert_eq!((&event["event"], &event["held_out"]), (&"view_seen".into(), &false.into()));
     }
 }

@@ -50,7 +50,7 @@ fn room(folder: &Path) -> Vec<(String, Camera)> {
     made.cameras
 }
 
-/// The photographs with a model in a world, and what rounds of so many steps make of them.
+/// The photographs with a model in a world, run with this many steps a round.
 fn run(
     folder: &Path,
     cameras: &[(String, Camera)],
@@ -60,7 +60,7 @@ fn run(
     let model = folder.join("capture/sparse/0");
     std::fs::create_dir_all(&model).expect("made");
     let views = cameras.iter().map(|(name, camera)| (format!("{name}.png"), world.camera(camera)));
-    // A lattice through the room, with some of its own colour.
+    // A lattice through the room, with colours of its own.
     let points = (0..400).map(|i: u32| {
         let at = [i % 8, i / 8 % 7, i / 56].map(|n| f64::from(n) * 0.5 - 1.7);
         let colour = [40 + 20 * (i % 8) as u8, 90, 200 - 20 * (i / 56) as u8];
@@ -106,7 +106,7 @@ fn apart(a: &Image, b: &Image) -> f32 {
     levels.fold(0.0, f32::max)
 }
 
-/// Largest distance of two cameras that should be one, as a share of the numbers that tell it.
+/// Largest difference of two cameras that should agree, as a share of their largest coordinate.
 fn astray(found: &Camera, given: &Camera) -> f64 {
     let largest = given.translation().abs().max_element();
     let off = found.world_to_camera - given.world_to_camera;
@@ -127,7 +127,7 @@ fn cameras_of(out: &Path, file: &str) -> Vec<NamedCamera> {
     serde_json::from_value(json(&out.join(file))).expect("cameras")
 }
 
-/// How far the restored views of two runs are apart, grey levels: at most, and root mean square.
+/// The differences of two runs' restored views, grey levels: largest, and root mean square.
 fn restored_apart(a: &Path, b: &Path, cameras: &[(String, Camera)]) -> (f32, f32) {
     let (mut most, mut squares) = (0.0_f32, 0.0);
     for (name, _) in cameras {
@@ -143,7 +143,7 @@ fn restored_apart(a: &Path, b: &Path, cameras: &[(String, Camera)]) -> (f32, f32
 const HERE: World = World { scale: 1.0, offset: DVec3::ZERO };
 const UTM: World = World { scale: 1.0, offset: DVec3::new(512_345.6, 5_412_345.9, 310.2) };
 
-/// Of one step: Adam makes as much of what is rounded as of what is not, and rounding differs.
+/// Limit after one step: Adam amplifies rounding errors, and rounding differs.
 #[test]
 fn no_scale_and_no_place_of_the_world_changes_a_render_and_all_comes_back_in_it() {
     let folder = tempfile::tempdir().expect("temporary folder");

@@ -1,12 +1,12 @@
-//! What fuzzers have kept, read again: inputs that reach far into the readers, and those that were
-//! too much for one once.
+//! Replays inputs kept by fuzzers: those that reach deep into the readers, and those that made one
+//! fail.
 
 mod readers;
 
 use std::fs;
 use std::path::Path;
 
-/// Takes whatever bytes there are.
+/// Accepts any bytes.
 type Reader = fn(&[u8]);
 
 fn read_all(name: &str, least: usize, read: Reader) {
@@ -23,7 +23,7 @@ fn read_all(name: &str, least: usize, read: Reader) {
 }
 
 #[test]
-fn every_reader_stands_what_fuzzers_have_kept() {
+fn every_reader_withstands_the_inputs_kept_by_fuzzers() {
     let readers: [(&str, Reader); 7] = [
         ("zip", readers::zip),
         ("exif", readers::exif),

@@ -1,6 +1,5 @@
-//! Readers of what strangers send, each given bytes as a fuzzer makes them up: none may panic,
-//! overflow, or take memory that the bytes do not stand for. What they say of the bytes is tested
-//! elsewhere.
+//! Readers of untrusted input, given bytes as a fuzzer makes them: none may panic, overflow, or
+//! take memory out of proportion to the bytes. Their results are tested elsewhere.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -14,7 +13,7 @@ use fled_core::photo_path::PhotoPath;
 use fled_core::poses::bounds::read_poses_bounds;
 use fled_core::poses::model::SparseModel;
 
-/// Where the files lie that the readers are given: in memory, one folder a process.
+/// The folder of the readers' input files: in memory, one per process.
 fn folder() -> PathBuf {
     let memory = Path::new("/dev/shm");
     let root = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
@@ -29,12 +28,12 @@ fn written(name: &str, bytes: &[u8]) -> PathBuf {
     path
 }
 
-/// A zip's directory, held against the rules before anything is unpacked.
+/// A zip's directory, checked against the rules before anything is unpacked.
 pub fn zip(bytes: &[u8]) {
     let _ = capture::unpacked_bytes(&written("upload.zip", bytes));
 }
 
-/// The EXIF block of a JPEG that is whole otherwise.
+/// The EXIF block of an otherwise valid JPEG.
 pub fn exif(bytes: &[u8]) {
     /// Gray, 8 x 8 px.
     const REST: &[u8] = include_bytes!("gray.jpg");
@@ -73,8 +72,8 @@ pub fn transforms(bytes: &[u8]) {
     }
 }
 
-/// A COLMAP model: a first byte says whether its files are binary, the rest is split into three at
-/// the ends that the two numbers after it name.
+/// A COLMAP model: the first byte says whether its files are binary, and the two numbers after it
+/// split the rest into three.
 pub fn colmap(bytes: &[u8]) {
     let [kind, a, b, c, d, rest @ ..] = bytes else {
         return;
@@ -95,7 +94,7 @@ pub fn colmap(bytes: &[u8]) {
     let _ = SparseModel::read(&folder);
 }
 
-/// The headers of an upload in pieces, one a line.
+/// The headers of an upload in pieces, one per line.
 pub fn tus(bytes: &[u8]) {
     let mut headers = HeaderMap::new();
     for line in bytes.split(|byte| *byte == b'\n') {

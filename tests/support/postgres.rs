@@ -35,17 +35,17 @@ impl Postgres {
     pub fn shared() -> &'static Self {
         static SHARED: OnceLock<Postgres> = OnceLock::new();
         SHARED.get_or_init(|| {
-            let (tell, told) = mpsc::channel();
+            let (sender, receiver) = mpsc::channel();
             // The server ends with the thread that started it, so this one lives as long as the
             // tests.
             std::thread::spawn(move || {
-                if tell.send(Self::start()).is_ok() {
+                if sender.send(Self::start()).is_ok() {
                     loop {
                         std::thread::park();
                     }
                 }
             });
-            told.recv().expect("PostgreSQL begins")
+            receiver.recv().expect("PostgreSQL begins")
         })
     }
 

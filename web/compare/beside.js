@@ -55,7 +55,7 @@ export function beside() {
 
   const find = (id) => entries.find((one) => one.id === id);
 
-  /** Begins as the address says. */
+  /** Sets the initial choices from the address. */
   function begin() {
     begun = true;
     const wanted = asked();
@@ -89,7 +89,7 @@ export function beside() {
     );
   }
 
-  /** Views that both jobs have, those first that trained nothing. */
+  /** Lists the views that both jobs have, held-out ones first. */
   function fillViews(value) {
     const [a, b] = [left, right].map((side) => find(side.value)?.cameras ?? []);
     const both = a.filter((one) => b.some((other) => other.name === one.name));
@@ -115,7 +115,7 @@ export function beside() {
     draw();
   }
 
-  /** The picture of a job as it is chosen; `null` where the job has none. */
+  /** The chosen picture of a job; `null` if the job has none. */
   function pictureOf(one) {
     if (!one || !one.cameras.some((camera) => camera.name === view.value)) return null;
     if (kind.value === "gt" && !hasTruth(one)) return null;
@@ -173,7 +173,7 @@ export function beside() {
 const hasTruth = (one) =>
   one.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
 
-/** Why there is nothing to see, or what to know of what one sees. */
+/** Why no comparison is shown, or a caution about the one shown. */
 function lack([a, b], shown, view, picture) {
   if (!a || !b) return "";
   for (const one of [a, b])
@@ -191,7 +191,7 @@ function lack([a, b], shown, view, picture) {
     : "These jobs use different captures: pictures with the same name may show different places.";
 }
 
-/** New options for a choice; its value stays where it is among them. */
+/** Replaces the options of a choice; keeps its value if that is among them. */
 function refill(select, options, value) {
   const known = JSON.stringify(options);
   if (select.known !== known) {

@@ -1,13 +1,13 @@
-// Which other jobs a job is compared with.
+// Chooses the jobs to compare a job with.
 
 import { api, h, when } from "../lib/dom.js";
 import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
 
-/** As many of the newest are offered. */
+/** Number of newest jobs offered. */
 const OFFERED = 50;
 
 /**
- * Asks for jobs, those of the same capture first, and goes to the comparison.
+ * Asks for jobs, those of the same capture first, and opens the comparison.
  * @param {import("fled-api").Job} job
  */
 export async function compareWith(job) {

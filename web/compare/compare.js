@@ -1,4 +1,4 @@
-// Two to six jobs beside each other; the address names them.
+// Compares two to six jobs, named in the address.
 
 import { beside } from "./beside.js";
 import { count, duration, folding, h, nothing, plain, prose, refill, section, show } from "../lib/dom.js";
@@ -20,7 +20,7 @@ import { row, table } from "../lib/table.js";
 import { METRICS, optionName } from "../lib/words.js";
 
 const REFRESH_MS = 3000;
-/** Options by which scores are of other pictures. */
+/** Options that change which pictures the scores compare. */
 const OTHER_PICTURES = ["size", "held_out"];
 
 export function comparePage(main, list) {
@@ -57,7 +57,7 @@ export function comparePage(main, list) {
     notices.hidden = words.length === 0;
     const isFair = isOneCapture(scored(entries));
     glance.update(isFair);
-    // Progress changes these by nothing: a chart that somebody reads stays as it is.
+    // Progress does not change these, so a chart being read is not redrawn.
     const results = JSON.stringify(entries.map((one) => [one.seen, one.isGone]));
     if (results === drawn) return;
     drawn = results;
@@ -122,7 +122,7 @@ const COLUMNS = [
   { title: "Note", class: "note" },
 ];
 
-/** A row a job with what matters most: `{ root, update(isFair) }`. */
+/** The most important facts, a row per job: `{ root, update(isFair) }`. */
 function overview(entries) {
   const root = table(COLUMNS, [], { "aria-label": "At a glance" });
   root.classList.add("glance");
@@ -166,7 +166,7 @@ function overview(entries) {
         ]),
       ),
     );
-    // A value that no job has would be an empty column.
+    // A value that no job has would make an empty column.
     COLUMNS.forEach((_, i) => {
       const cells = [...root.tBodies[0].rows].map((one) => one.cells[i]);
       for (const one of [root.tHead.rows[0].cells[i], ...cells])
@@ -216,7 +216,7 @@ const delivered = ({ report, rounds, job }) =>
 const placed = (report) =>
   report?.registered === undefined ? "" : `${report.registered} of ${report.views}`;
 
-/** Seconds by stage, all rounds together. */
+/** Seconds per stage, summed over all rounds. */
 function timeTable(entries) {
   const there = entries.filter((one) => one.job?.stages.length > 0);
   if (there.length === 0) return null;

@@ -1,4 +1,4 @@
-// Options of several jobs: those that differ, and folded away those that do not.
+// Options of several jobs: those that differ, and, folded away, those that do not.
 
 import { count, h, plain } from "../lib/dom.js";
 import { nameOf, tag } from "./entries.js";
@@ -8,7 +8,7 @@ import { optionName } from "../lib/words.js";
 const written = (value) =>
   value === undefined ? "not recorded" : Array.isArray(value) ? value.join(", ") : String(value);
 
-/** `{ differing, shared }`: names of options, `preset` before them, by whether all jobs agree. */
+/** `{ differing, shared }`: option names, `preset` first, split by whether all jobs agree. */
 export function sorted(jobs) {
   const names = [...new Set(jobs.flatMap((job) => Object.keys(job.options)))].sort((a, b) =>
     optionName(a) < optionName(b) ? -1 : 1,
@@ -20,7 +20,7 @@ export function sorted(jobs) {
 
 const valueOf = (job, name) => (name === "preset" ? job.preset : job.options[name]);
 
-/** Nodes for a section; `null` where fewer than two jobs are there. */
+/** Nodes for a section; `null` if there are fewer than two jobs. */
 export function differences(entries) {
   const there = entries.filter((one) => one.job);
   if (there.length < 2) return null;

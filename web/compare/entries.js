@@ -1,4 +1,4 @@
-// The jobs of a comparison: what there is of each, and a sentence where that is not all.
+// The jobs of a comparison: the data of each, and a sentence if some is missing.
 
 import { mark } from "../lib/chart.js";
 import { api, count, h } from "../lib/dom.js";
@@ -6,14 +6,14 @@ import { MOST_COMPARED } from "../lib/place.js";
 import { doing, isOver } from "../lib/state.js";
 import { failed } from "../lib/words.js";
 
-/** The jobs that an address names, each once: `{ ids, left }`, `left` being those too many. */
+/** The distinct jobs in an address: `{ ids, left }`; `left` are those beyond the limit. */
 export function named(list) {
   const parts = list.split(",").map((part) => decoded(part).trim());
   const ids = [...new Set(parts.filter(Boolean))];
   return { ids: ids.slice(0, MOST_COMPARED), left: Math.max(0, ids.length - MOST_COMPARED) };
 }
 
-/** Not every address that somebody types can be decoded. */
+/** A typed address may be impossible to decode. */
 function decoded(part) {
   try {
     return decodeURIComponent(part);
@@ -22,7 +22,7 @@ function decoded(part) {
   }
 }
 
-/** A job of a comparison: a letter and a style of its own from the first to the last look. */
+/** A job of a comparison, with a letter and a style that do not change. */
 export const entry = (id, number) => ({
   id,
   number,
@@ -37,7 +37,7 @@ export const entry = (id, number) => ({
   isGone: false,
 });
 
-/** Asks the server again for what may have changed; whether anything has. */
+/** Asks the server for what may have changed; returns whether anything has. */
 export async function look(one) {
   const base = `/v1/jobs/${encodeURIComponent(one.id)}`;
   const before = JSON.stringify([one.job, one.problem]);
@@ -50,7 +50,7 @@ export async function look(one) {
       one.seen = seen;
     }
   } catch (error) {
-    // One that is gone stays gone; any other problem may pass, and what was there is kept.
+    // A job that is gone stays gone; any other problem may pass, so the data is kept.
     one.problem = error.message;
     if (error.status === 404) {
       one.problem = "Job not found. It was deleted, or the link is incomplete.";
@@ -67,20 +67,20 @@ async function lookInside(one, base) {
   else one.cameras = await api(`${base}/artifacts/cameras.json`).catch(() => []);
 }
 
-/** Whether there is nothing more to come of it. */
+/** Whether no more data will come. */
 export const isDone = (one) =>
   one.isGone || (one.job !== null && isOver(one.job) && one.problem === "");
 
 export const nameOf = (one) => one.job?.name || (one.job ? "unnamed" : "missing job");
 
-/** Mark and letter, and the name for whoever needs it said. */
+/** Mark and letter, with the name for screen readers. */
 export const tag = (one) =>
   h("span", { class: `tag ${one.style}` }, mark(one.number, one.style), h("b", {}, one.letter));
 
-/** As words alone. */
+/** The same as text. */
 export const called = (one) => `${one.letter}, ${nameOf(one)}`;
 
-/** A sentence about a job that lacks something; nothing where all is there. */
+/** A sentence about what a job lacks; nothing if it is complete. */
 export function note({ job, problem, rounds }) {
   if (!job || problem) return problem;
   const had =

@@ -1,4 +1,4 @@
-// Scores of several jobs: a curve a job, and a table by round with the best one marked.
+// Scores of several jobs: a curve per job, and a table by round with the best score marked.
 
 import { chart } from "../lib/chart.js";
 import { h, plain } from "../lib/dom.js";
@@ -13,11 +13,11 @@ const IMAGES = [
 ];
 const SPLITS = ["held_out", "train"];
 
-/** Of renders, where there is no truth. */
+/** Scores of renders without ground truth. */
 const own = (round, of) =>
   hasTruth([round]) ? undefined : recordOf(round, { ...of, image: "render" }, false);
 
-/** Where each score stands in a round; `of` says which pictures are meant. */
+/** How to find each score in a round; `of` selects the pictures. */
 const VALUES = {
   psnr_cc: (round, of) => recordOf(round, of, true)?.psnr_cc_db,
   ssim: (round, of) => recordOf(round, of, true)?.ssim,
@@ -27,18 +27,18 @@ const VALUES = {
   seconds: (round) => round.seconds,
   gaussians: (round) => round.gaussians,
 };
-/** Told first; the rest is folded away. */
+/** Shown first; the rest is folded away. */
 const FIRST = ["psnr_cc", "ssim", "own_psnr", "own_ssim"];
-/** Agreement with oneself, and grain that may have gone with the detail, make none the best. */
+/** Scores that mark no best job: self-agreement, and grain, which may go with the detail. */
 const UNJUDGED = ["own_psnr", "own_ssim", "noise"];
 
-/** `[[round, value], ...]` of a score, rounds that lack it left out. */
+/** `[[round, value], ...]` of a score, without the rounds that lack it. */
 export const points = (entry, key, of) =>
   entry.rounds
     .map((round) => [round.round, VALUES[key](round, of)])
     .filter(([, value]) => Number.isFinite(value));
 
-/** Tells the best of values; those that share it are all best, and of one alone none is. */
+/** Finds the best of several values; ties are all best, but none is if all are equal. */
 export function best(values, metric) {
   const real = values.filter(Number.isFinite);
   const written = (value) => value.toFixed(metric.digits);
@@ -47,7 +47,7 @@ export function best(values, metric) {
   return (value) => Number.isFinite(value) && written(value) === written(wanted);
 }
 
-/** A value as it is written, marked where it is the best. */
+/** A formatted value, marked if it is the best. */
 export function cell(value, metric, isBest) {
   if (!Number.isFinite(value)) return "";
   const text =
@@ -55,7 +55,7 @@ export function cell(value, metric, isBest) {
   return isBest ? h("span", { class: "best" }, text, h("span", { class: "badge" }, "best")) : text;
 }
 
-/** `{ root, update(entries, isFair) }`; nothing is marked as best where that is not fair. */
+/** `{ root, update(entries, isFair) }`; marks no best value unless `isFair`. */
 export function scores() {
   const choice = (label, options) =>
     h(
@@ -85,7 +85,7 @@ export function scores() {
     ),
     body,
   );
-  /** Scores whose values are unfolded; they stay so when drawn again. */
+  /** Scores whose values are unfolded; redrawing keeps them so. */
   const opened = new Set();
   let [entries, isFair, begun] = [[], true, false];
 
@@ -142,7 +142,7 @@ export function scores() {
   };
 }
 
-/** Why there is no score against the truth. */
+/** Why there is no score against ground truth. */
 function lack(entries, of) {
   const others = SPLITS.some((split) =>
     entries.some((one) => points(one, "psnr_cc", { image: of.image, split }).length > 0),
@@ -153,7 +153,7 @@ function lack(entries, of) {
         "the photographs, not which one is better.";
 }
 
-/** Curve, table and words of one score; `null` where no job has it. */
+/** Curve, table and text of one score; `null` if no job has it. */
 function block(key, entries, of, isFair, opened) {
   const metric = METRICS[key];
   const there = entries
@@ -168,7 +168,7 @@ function block(key, entries, of, isFair, opened) {
   }));
   const most = key.endsWith("ssim") ? 1 : Infinity;
   const values = byRound(metric, there, isFair && !UNJUDGED.includes(key));
-  // A single round is no curve; where there is one, its values need not be told twice.
+  // A single round makes no curve; a curve already shows its values.
   const isCurve = there.some((row) => row.points.length > 1);
   return h(
     "div",

@@ -1,4 +1,4 @@
-// How a job was run: time by stage, what was used, every option.
+// How a job ran: time per stage, the resources used, every option.
 
 import { duration, h, plain } from "../lib/dom.js";
 import { reusedPoses } from "../lib/state.js";
@@ -30,7 +30,7 @@ export function factList(report) {
     Exposure: exposure(report.exposure),
     "Set by the shake": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
     "Trained on": report.adapter,
-    // Each photograph's place has a table of its own.
+    // The photographs' positions have their own table.
     Poses: report.poses && without(report.poses, "verdicts"),
     Models: report.models,
     Fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
@@ -38,7 +38,7 @@ export function factList(report) {
   return Object.assign(list, { gist: placed ? `${placed} photographs placed` : "run details" });
 }
 
-/** The verdict on shake before the rounds. */
+/** The result of the look for shake before the rounds. */
 function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
   const ways = {
@@ -50,7 +50,7 @@ function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
 }
 
-/** How differently the photographs are exposed, and what was done about it; each view's own is below it. */
+/** How exposures differ and how they were corrected, with each view's values below. */
 function exposure(found) {
   if (!found) return null;
   const [least, most] = found.spread_stops.map(stops);
@@ -69,18 +69,18 @@ function without(values, name) {
 }
 
 /**
- * Every option of a job, one a line.
+ * Every option of a job, one per line.
  * @param {import("fled-api").Job} job
  */
 export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(Object.fromEntries(Object.entries(job.options).map(([key, value]) => [optionName(key), value]).sort())));
 
-/** Names and values; what a value holds is a list of its own. */
+/** Names and values; a nested value becomes its own list. */
 function pairs(values) {
   const real = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
   return h("dl", {}, real.flatMap(([name, value]) => [h("dt", {}, plain(name)), h("dd", {}, shown(value))]));
 }
 
-/** Of a number that was measured: more of them say nothing. */
+/** Significant digits of a measured number. */
 const DIGITS = 4;
 
 function shown(value) {

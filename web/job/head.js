@@ -1,4 +1,4 @@
-// The head of a job's page: where it stands, and what can be done with it.
+// The head of a job's page: its state and the actions on it.
 
 import { compareWith } from "../compare/choose.js";
 import { ask } from "../lib/dialog.js";
@@ -11,12 +11,12 @@ import { advice } from "../lib/words.js";
 
 const SECOND_MS = 1000;
 
-/** COLMAP's own strategies count a handful of steps, the matcher photographs and their pairs. */
+/** COLMAP's own strategies count a few steps; the matcher counts photographs and their pairs. */
 const LEAST_PAIRS = 10;
 
 /**
- * `{ root, update(job), advance(told), sum(result), leave }`; `refresh` asks the server again after something was done. A
- * visitor by a link to the job can do nothing with it.
+ * `{ root, update(job), advance(event), sum(result), leave }`; `refresh` asks the server again
+ * after an action. A visitor by a link to the job has no actions.
  */
 export function jobHead(base, refresh, who) {
   const isVisitor = who.job !== null;
@@ -58,7 +58,7 @@ export function jobHead(base, refresh, who) {
     location.hash = "#/";
   }
 
-  /** A button that asks where there is a question, then acts. */
+  /** A button that asks its question, if any, and then acts. */
   function action(label, act, question, style = "") {
     const button = h("button", { type: "button", class: style, hidden: true }, label);
     button.addEventListener("click", async () => {
@@ -76,7 +76,7 @@ export function jobHead(base, refresh, who) {
     return button;
   }
 
-  /** When the server deletes the job by itself, and how to keep it. */
+  /** When the server will delete the job, and how to keep it. */
   let kept = "";
   function showKeeping() {
     const now = `${job.pinned} ${job.expires_at}`;
@@ -93,7 +93,7 @@ export function jobHead(base, refresh, who) {
     else keeping.replaceChildren();
   }
 
-  /** Requirements of a waiting job on its machine. */
+  /** A waiting job's requirements of its machine. */
   let needed = "";
   function showNeeds() {
     const now = job.waits_for ?? "";
@@ -141,7 +141,7 @@ export function jobHead(base, refresh, who) {
       meaning.textContent = job.error ? advice(job.error) : "";
       root.hidden = false;
     },
-    /** Takes what an event tells of the present stage. */
+    /** Takes a progress event of the current stage. */
     advance({ stage, done, total }) {
       matched = stage === "poses" && total >= LEAST_PAIRS ? { done, total } : null;
       showLine();

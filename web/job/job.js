@@ -20,10 +20,10 @@ import { videos } from "./videos.js";
 import { comparison } from "./views.js";
 
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
-/** Its place in the queue changes by what other jobs do, of which its own events tell nothing. */
+/** The queue position depends on other jobs, which the job's own events do not report. */
 const QUEUE_MS = 3000;
 
-/** The page of job `id` for whoever `who` is: who came by a link to it only looks. */
+/** The page of job `id` for the session `who`; a visitor by a link can only look. */
 export function jobPage(main, who, id) {
   const base = `/v1/jobs/${id}`;
   const isVisitor = who.job !== null;
@@ -40,12 +40,12 @@ export function jobPage(main, who, id) {
   const exported = folding("Export");
   const views = comparison(id);
   const scene = scenePanel(id);
-  // Where the browser draws the scene, nobody needs the server to turn it.
+  // If the browser draws the scene, the server need not turn it.
   const novel = hasWebGl() ? null : novelView(id);
-  // Where nobody needs a token, a link would mean nothing.
+  // If the server needs no tokens, a link has no purpose.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
-  // The important parts come first: on a phone the rest is far below.
+  // The important parts come first, because on a phone the rest is far below.
   const bar = contents(main, { training: training.root, scene: scene.root, views: views.root, metrics, files, export: exported,
     ...(novel && { novel: novel.root }), videos: filmed.root, photographs: unused, time: times, details: facts,
     ...(share && { share: share.root }), ...(log && { log: log.root }) });
@@ -72,14 +72,14 @@ export function jobPage(main, who, id) {
       log?.follow(!isOver(job));
       if (isOver(job)) {
         training.over();
-        // The result stands before its history.
+        // The result comes before its history.
         if (metrics.nextSibling !== training.root) metrics.after(training.root);
       }
-      // The curves of one that is over are in its events, too.
+      // The events also hold the curves of a job that is over.
       if (!stream && !(isOver(job) && isHeard)) listen();
       if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
       if (!isVisitor) capture ??= showUnused(job);
-      // Only rounds and states change these; a progress event does not.
+      // Rounds and states change these; progress events do not.
       const report = `${job.state} ${job.attempts} ${job.stages.length}`;
       if (report !== reported) {
         reported = report;
@@ -95,13 +95,13 @@ export function jobPage(main, who, id) {
     }
   }
 
-  /** Photographs left out of the upload: told once, as they do not change. */
+  /** Shows the photographs left out of the upload, once, as they do not change. */
   async function showUnused(job) {
     /** @type {import("fled-api").Capture | null} */
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
     if (!found || gone) return;
     given = found.images.length;
-    // Before the first round nothing else is to be seen.
+    // Before the first round there is nothing else to show.
     const isEarly = !isOver(job) && !job.stages.some((stage) => stage.round > 0);
     onceRounds = () => show(unused, leftOut(found));
     show(unused, leftOut(found), isEarly && strip(found));
@@ -115,7 +115,7 @@ export function jobPage(main, who, id) {
     const rounds = report.rounds.map((round) => round.round);
     const { artifacts } = await api(`${base}/artifacts`);
     if (gone) return;
-    // A round may place views that had no place.
+    // A round may find poses for views without one.
     const isThere = artifacts.some(({ name }) => name === "cameras.json");
     if (isThere && (!cameras || placed !== rounds.length)) {
       [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
@@ -150,8 +150,8 @@ export function jobPage(main, who, id) {
     let queued = 0;
     for (const name of EVENTS) {
       stream.addEventListener(name, () => {
-        // The whole history comes at first: one refresh is enough for many events, and none where
-        // all of them are past.
+        // The stream begins with the whole history: one refresh serves many events, and none is
+        // needed if the job has ended.
         if (!queued && !hasEnded) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }

@@ -22,20 +22,20 @@ export function logView(base) {
         if (page.lines.length > 0) text.append(`${page.lines.join("\n")}\n`);
         lines += page.lines.length;
         root.gist.textContent = count(lines, "line");
-        // A job that waits has said nothing yet.
+        // A waiting job has logged nothing yet.
         root.hidden = text.textContent === "";
         if (below) text.scrollTop = text.scrollHeight;
         offset = page.next_offset;
         end = page.end;
       }
-    } catch { /* The next reading goes on where this one ended. */ }
+    } catch { /* The next read continues where this one ended. */ }
     busy = false;
     if (active) timer = setTimeout(read, LOG_MS);
   }
   return {
     root,
     follow(now) {
-      // Once more at the end: the last lines are the interesting ones.
+      // Reads again at the end, because the last lines matter most.
       if (!begun || now !== active) { [begun, active] = [true, now]; read(); }
     },
     leave() { active = false; clearTimeout(timer); },

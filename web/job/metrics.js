@@ -5,10 +5,10 @@ import { duration, fold, h, plain } from "../lib/dom.js";
 import { told } from "../lib/table.js";
 import { METRICS, meanings } from "../lib/words.js";
 
-/** Whether the capture has ground truth, which alone tells quality. */
+/** Whether the capture has ground truth; only that measures quality. */
 export const hasTruth = (rounds) => rounds.some((round) => round.records.some(({ reference }) => reference === "gt"));
 
-/** Of all pairs of pictures those that compare rounds: each at the brightness that the run aims at. */
+/** The references that make rounds comparable, at the run's target brightness. */
 const REFERENCE = { true: "gt", false: "enhanced" };
 
 export function metricCharts(rounds) {
@@ -32,7 +32,7 @@ export function metricCharts(rounds) {
   ].filter(Boolean);
 }
 
-/** By which fled compares rounds, dB: `undefined` in reports of earlier versions, which had an SSIM. */
+/** The score that compares rounds, dB; `undefined` in older reports, which had an SSIM. */
 export const agreement = ({ score }) => (score > 1 ? score : undefined);
 
 function series(rounds, isTruth) {
@@ -49,7 +49,7 @@ function series(rounds, isTruth) {
   return found;
 }
 
-/** The comparable scores in a round of one kind of picture; `undefined` where there are none. */
+/** A round's comparable scores of one kind of picture; `undefined` if there are none. */
 export const recordOf = ({ records }, { image, split }, isTruth) => records.find((record) =>
   record.image === image && record.split === split && record.brightness === "final" && record.reference === REFERENCE[isTruth]);
 

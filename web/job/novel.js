@@ -1,4 +1,4 @@
-// A view that nobody photographed: drag to turn, + and - to come nearer.
+// A novel view: drag to turn, + and - to come nearer.
 
 import { h } from "../lib/dom.js";
 
@@ -22,7 +22,7 @@ export function novelView(job) {
     h("p", { class: "hint" }, "The server renders this view, so it works on any machine. Drag or use the arrow keys to turn. Use + and −, Ctrl and the wheel, or the wheel after a click to move closer or away."));
   const pose = { azimuth: 0, elevation: 0, distance: 1 };
   let [busy, again, shown] = [false, false, ""];
-  // The wheel is the page's until one clicks into the view, and again when the pointer leaves it.
+  // The wheel scrolls the page until a click into the view, and again once the pointer leaves it.
   let isHeld = false;
 
   async function draw() {
@@ -52,7 +52,7 @@ export function novelView(job) {
     frame.classList.remove("busy");
   }
 
-  /** Whether the view moved: at its limits it does not. */
+  /** Returns whether the view moved; at its limits it does not. */
   function turn(azimuth, elevation, nearer = 1) {
     const before = JSON.stringify(pose);
     pose.azimuth = Math.max(-180, Math.min(180, pose.azimuth + azimuth));

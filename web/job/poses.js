@@ -1,4 +1,4 @@
-// Where the photographs were taken from, and why some have no place.
+// The positions of the photographs, and why some have none.
 
 import { h } from "../lib/dom.js";
 import { told } from "../lib/table.js";
@@ -15,7 +15,7 @@ const WORDS = {
 
 export function poses(base, report) {
   const rows = places(report);
-  // Where the browser draws the scene, it draws the cameras in it.
+  // If the browser draws the scene, it also draws the cameras.
   return h("div", { class: "poses" }, !hasWebGl() && map(base),
     rows.length > 0 && h("details", {}, h("summary", {}, summary(rows)), table(rows)));
 }
@@ -23,7 +23,7 @@ export function poses(base, report) {
 function map(base) {
   const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "Cameras and sparse points from above", loading: "lazy" });
   const figure = h("figure", {}, image, h("figcaption", {}, "Where the photographs were taken from"));
-  // An older run has left no such file.
+  // Older runs have no such file.
   image.addEventListener("error", () => figure.remove());
   return figure;
 }
@@ -34,7 +34,7 @@ function map(base) {
  */
 export const positions = (report) => new Map(places(report).map(({ name, status }) => [name, WORDS[status] ?? status]));
 
-/** A row a photograph: what structure from motion said, and how it fits the last scene. */
+/** A row per photograph: the result of structure from motion, and the fit to the last scene. */
 function places(report) {
   const verdicts = report.poses?.verdicts ?? [];
   const views = report.rounds.at(-1)?.views ?? [];

@@ -1,17 +1,17 @@
-// Which of the jobs that wait goes first.
+// The priority of a waiting job.
 
 import { h, send } from "../lib/dom.js";
 import { seesAll } from "../lib/login.js";
 
-/** As far as it goes, up and down. */
+/** Limit in both directions. */
 const MOST = 100;
 
 /**
- * The field that says how urgent a job that waits is: `{ root, update(job) }`. `changed` is called
- * when the server has taken another number.
+ * The priority field of a waiting job: `{ root, update(job) }`. `changed` is called once the
+ * server has accepted a new number.
  */
 export function priorityField(base, changed, who) {
-  // Above 0 it goes before everybody's, which is not for everybody to say.
+  // Above 0 it precedes other users' jobs, which not every token may do.
   const most = seesAll(who) ? MOST : 0;
   const field = h("input", { type: "number", min: -MOST, max: most, step: 1, required: true });
   const problem = h("span", { class: "problem", role: "alert" });
@@ -44,7 +44,7 @@ export function priorityField(base, changed, who) {
     /** @param {import("fled-api").Job} job */
     update(job) {
       root.hidden = job.state !== "queued";
-      // A number that is being typed is not final yet.
+      // A number being typed is not final.
       if (asks || (field === document.activeElement && field.value !== String(known))) return;
       known = job.priority;
       if (field.value !== String(known)) field.value = String(known);

@@ -1,8 +1,8 @@
-// Links that open one job to whoever has them.
+// Links that open one job to anyone who has them.
 
 import { api, h } from "../lib/dom.js";
 
-/** The section of a job's page where links are made and ended. */
+/** The section of a job's page that makes and revokes links. */
 export function shares(job) {
   const base = `/v1/jobs/${job}/shares`;
   const problem = h("p", { class: "problem", role: "alert" });
@@ -34,7 +34,7 @@ export function shares(job) {
     button.disabled = false;
   }
 
-  /** The link itself, the one time that the server tells it. */
+  /** Shows the link, which the server sends only once. */
   function show(share) {
     const link = location.origin + share.path;
     const source = link.replace("/#/share/", "/embed#");
@@ -54,7 +54,7 @@ export function shares(job) {
         await navigator.clipboard.writeText(address.value);
         copy.textContent = "Copied";
       } catch {
-        // Without TLS a page may not reach the clipboard; what is selected can be copied by hand.
+        // Without TLS a page may not use the clipboard; a selection can be copied by hand.
         copy.textContent = "Press Ctrl+C";
       }
     }
@@ -85,7 +85,7 @@ export function shares(job) {
 
   return {
     root,
-    /** Where nobody needs a token, links would mean nothing: the section stays hidden. */
+    /** If the server needs no tokens, links have no purpose and the section stays hidden. */
     async open() {
       root.hidden = false;
       try {

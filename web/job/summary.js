@@ -8,10 +8,10 @@ import { agreement, hasTruth, recordOf } from "./metrics.js";
 
 /**
  * @param {import("fled-api").Job} job
- * @param {any} report Of its rounds.
+ * @param {any} report The report of its rounds.
  * @param {{ name: string, bytes: number }[]} artifacts
- * @param {number | undefined} given Photographs of its capture, where one may know.
- * @param {HTMLElement | undefined} share The part that shares it, where there is one.
+ * @param {number | undefined} given Photographs of its capture, if known.
+ * @param {HTMLElement | undefined} share The section that shares it, if any.
  */
 export function summary(job, report, artifacts, given, share) {
   const best = report.rounds.find(({ round }) => round === report.best_round);
@@ -31,7 +31,7 @@ export function summary(job, report, artifacts, given, share) {
       h("span", { class: "hint" }, "Job ID ", h("code", {}, job.id), " ", navigator.clipboard && copy(job.id))));
 }
 
-/** Of the delivered round, beside what the photographs alone would be: `[name, value, more]`. */
+/** Scores of the delivered round beside those of the photographs: `[name, value, more]`. */
 function scores(round) {
   if (!hasTruth([round])) {
     const own = agreement(round) ?? held(round, "render", false)?.psnr_cc_db;
@@ -49,7 +49,7 @@ function scores(round) {
 const held = (round, image, isTruth) =>
   recordOf(round, { image, split: "held_out" }, isTruth) ?? recordOf(round, { image, split: "train" }, isTruth);
 
-/** Without TLS a page has no clipboard; the ID can be marked by hand. */
+/** Without TLS a page has no clipboard; the ID can be selected by hand. */
 function copy(text) {
   const button = h("button", { type: "button", class: "small", "aria-label": "Copy job ID" }, "Copy");
   button.addEventListener("click", () =>

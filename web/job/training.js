@@ -1,5 +1,5 @@
-// How a job trains, while it does: its loss, how well views that were held out are met, and what
-// one view looks like.
+// A job's training while it runs: its loss, the scores of held-out views, and a live render of
+// one view.
 
 import { folding, h, isNarrow, s, show } from "../lib/dom.js";
 import { range, ticks } from "../lib/chart.js";
@@ -8,16 +8,16 @@ import { meanings } from "../lib/words.js";
 const WIDTH = 420;
 const HEIGHT = 200;
 const MARGIN = { left: 46, right: 12, top: 8, bottom: 24 };
-/** Weight of a new loss in its line: views differ, so their losses scatter about it. */
+/** Weight of a new loss in the trend line; losses of different views scatter about it. */
 const SHARE = 0.3;
-/** Of the losses one in so many may lie above the chart: a first one presses the rest flat. */
+/** Share of losses that may lie above the chart, as an early one would flatten the rest. */
 const BEYOND = 0.02;
-/** Colours of the style sheet. */
+/** Line colours in the style sheet. */
 const COLOURS = 3;
 
 /**
- * `{ root, see, over }` of the job at `base`: `see(kind, told)` takes what an event of its stream
- * says, `over` takes the picture away.
+ * `{ root, see, over }` of the job at `base`: `see(kind, event)` takes an event of its stream,
+ * `over` removes the picture.
  */
 export function trainingView(base) {
   const root = folding("Training");
@@ -34,19 +34,19 @@ export function trainingView(base) {
   let [last, named, frame] = [null, null, 0];
 
   const kinds = {
-    training_seen(told) {
-      if (typeof told.loss !== "number") return;
-      loss.add(told, told.loss);
-      last = told;
+    training_seen(event) {
+      if (typeof event.loss !== "number") return;
+      loss.add(event, event.loss);
+      last = event;
     },
-    held_out_seen(told) {
-      for (const [key, chart] of Object.entries(scores)) chart.add(told, told[key]);
-      if (named !== told.truth) name(told);
+    held_out_seen(event) {
+      for (const [key, chart] of Object.entries(scores)) chart.add(event, event[key]);
+      if (named !== event.truth) name(event);
     },
     view_seen: picture.see,
   };
 
-  /** Titles depend on whether there is truth. */
+  /** Sets the titles, which depend on whether there is ground truth. */
   function name({ truth, views }) {
     named = truth;
     const of = `${views} held-out view${views === 1 ? "" : "s"}`;
@@ -57,9 +57,9 @@ export function trainingView(base) {
     words.replaceChildren(meanings(truth ? ["live_psnr", "live_ssim"] : ["live_own_psnr", "live_own_ssim"]));
   }
 
-  function see(kind, told) {
-    kinds[kind]?.(told);
-    // The whole history comes at once at first.
+  function see(kind, event) {
+    kinds[kind]?.(event);
+    // The stream begins with the whole history at once.
     if (!frame) frame = requestAnimationFrame(() => { frame = 0; draw(); });
   }
 
@@ -72,7 +72,7 @@ export function trainingView(base) {
       `${last.gaussians.toLocaleString("en")} Gaussians. The loss measures how far renders are from the training views. Each dot is one view; the line is the trend.`;
   }
 
-  /** The curves stay, folded away on a phone that did not see them grow. */
+  /** Keeps the curves, folded away on a phone that did not see them grow. */
   function over() {
     picture.over();
     if (root.hidden) lines.open = !isNarrow();
@@ -81,15 +81,15 @@ export function trainingView(base) {
   return { root, see, over };
 }
 
-/** Names of the events that `see` takes. */
+/** Event names that `see` takes. */
 export const SEEN = ["training_seen", "held_out_seen", "view_seen"];
 
 /**
- * Values by step, a line a round: `{ root, title, add, draw }`; hidden as long as there are none.
- * Values that scatter are dots beside the line of their course, and begin at 0.
+ * Values by step, a line per round: `{ root, title, add, draw }`; hidden while there are none.
+ * Scattering values are drawn as dots about their trend line, on an axis from 0.
  */
 function curve(name, digits, scatters, most = Infinity) {
-  /** Values by step, by round: an attempt that goes on from a checkpoint tells some twice. */
+  /** Values by step, by round: an attempt resumed from a checkpoint reports some twice. */
   const rounds = new Map();
   const heading = h("h3", {}, name);
   const [place, legend] = [h("div"), h("div", { class: "legend" })];
@@ -142,7 +142,7 @@ function plot(name, lines, steps, { scatters, most }) {
 
 const highest = (values) => values.toSorted((a, b) => a - b)[Math.floor((1 - BEYOND) * (values.length - 1))];
 
-/** A line through points; with a smaller `share` it follows them slowly. */
+/** A line through points; a smaller `share` follows them more slowly. */
 function course(points, x, y, share) {
   let mean = points[0]?.[1];
   return points.map(([step, value], i) => {
@@ -151,36 +151,36 @@ function course(points, x, y, share) {
   }).join("");
 }
 
-/** The last picture of the scene that trains: `{ root, see, over }`. */
+/** The latest picture of the scene in training: `{ root, see, over }`. */
 function livePicture(base) {
   const image = h("img", { alt: "" });
   const caption = h("figcaption");
   const root = h("figure", { class: "seen", hidden: true }, h("h3", {}, "Live view"), image, caption);
   let [wanted, busy, shown, isOver] = [null, false, "", false];
 
-  function see(told) {
-    wanted = told;
+  function see(event) {
+    wanted = event;
     if (busy || isOver) return;
     busy = true;
-    // Of a whole history only the last is there.
+    // Only the last picture of the history exists.
     requestAnimationFrame(load);
   }
 
   async function load() {
     while (wanted && !isOver) {
-      const told = wanted;
+      const event = wanted;
       wanted = null;
-      // One that does not come is followed by the next.
+      // A picture that fails to load is replaced by the next.
       const answer = await fetch(`${base}/live`).catch(() => null);
-      if (answer?.status === 200 && !isOver) await put(URL.createObjectURL(await answer.blob()), told);
+      if (answer?.status === 200 && !isOver) await put(URL.createObjectURL(await answer.blob()), event);
     }
     busy = false;
   }
 
-  async function put(url, told) {
+  async function put(url, event) {
     image.src = url;
-    image.alt = `Render of view ${told.view}`;
-    caption.textContent = `${told.view} (${told.held_out ? "held out" : "training view"}), round ${told.round}, step ${told.step.toLocaleString("en")}`;
+    image.alt = `Render of view ${event.view}`;
+    caption.textContent = `${event.view} (${event.held_out ? "held out" : "training view"}), round ${event.round}, step ${event.step.toLocaleString("en")}`;
     root.hidden = false;
     await image.decode().catch(() => {});
     if (shown) URL.revokeObjectURL(shown);

@@ -1,9 +1,9 @@
-// Videos of a finished scene: asked for, watched while they are made, played.
+// Videos of a finished scene: requests, progress and playback.
 
 import { ask } from "../lib/dialog.js";
 import { api, count, folding, h, send, show, size, when } from "../lib/dom.js";
 
-/** While one is made. */
+/** Interval of requests while a video is made. */
 const LOOK_MS = 1000;
 const WAYS = {
   orbit: ["Around the scene", "Swings to both sides as far as the photographs reach, or circles the scene if they go all the way around."],
@@ -12,7 +12,7 @@ const WAYS = {
 const SECONDS = [4, 8, 15, 30, 60];
 const SIDES = [640, 960, 1280, 1920];
 
-/** The section of job `id`; who came by a link sees what there is and makes none. */
+/** The section of job `id`; a visitor by a link sees the videos but makes none. */
 export function videos(id, isVisitor) {
   const base = `/v1/jobs/${id}/videos`;
   const root = folding("Videos");
@@ -56,7 +56,7 @@ export function videos(id, isVisitor) {
     try {
       await api(`${base}/${video.id}`, { method: "DELETE" });
       await look();
-      // The element that had the focus is gone.
+      // The focused element is gone.
       button.focus();
     } catch (error) {
       problem.textContent = error.message;
@@ -76,7 +76,7 @@ export function videos(id, isVisitor) {
     for (const known of [...items.keys()]) {
       if (!found.some((video) => video.id === known)) items.delete(known);
     }
-    // One that is played stays as it is while another is made.
+    // A video that plays is not redrawn while another is made.
     const rows = found.map((video) => {
       const known = items.get(video.id);
       if (known?.state === video.state) {
@@ -97,7 +97,7 @@ export function videos(id, isVisitor) {
 
   return {
     root,
-    /** Of a job that is finished: `cameras` are its views'. */
+    /** Opens the section of a finished job; `cameras` are those of its views. */
     open(cameras) {
       if (isOpen) return;
       isOpen = true;
@@ -111,7 +111,7 @@ export function videos(id, isVisitor) {
   };
 }
 
-/** One video as it stands: `{ state, node, update }`. */
+/** One video in its current state: `{ state, node, update }`. */
 function entry(base, video, remove) {
   const words = `${WAYS[video.kind]?.[0] ?? "Custom path"}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
   const line = h("span", { class: "soft now", role: "status" });

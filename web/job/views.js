@@ -1,11 +1,11 @@
-// The same view dark, enhanced, deblurred and rendered in every round, two of them side by side.
+// One view dark, enhanced, deblurred and rendered in every round, two pictures side by side.
 
 import { TIMES, difference } from "../lib/difference.js";
 import { address, fold, h } from "../lib/dom.js";
 import { split } from "../lib/split.js";
 import { thumbnails } from "../lib/strip.js";
 
-/** Of a picture of depth, px. */
+/** Width of a depth picture, px. */
 const DEPTH_WIDTH = 560;
 
 /** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
@@ -22,7 +22,7 @@ export function comparison(job) {
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
-  // Kinds of the compared pictures: kept when another view is chosen.
+  // Kinds of the compared pictures, kept when another view is chosen.
   const sides = { left: "inputs", right: null };
   let [all, drawn] = [[], 0];
   choice.addEventListener("change", rebuild);
@@ -49,7 +49,7 @@ export function comparison(job) {
     return list;
   }
 
-  /** A picture that is made once, when it is looked at; its brightness says something. */
+  /** A picture made once, when it is looked at; its brightness has a meaning. */
   function made(key, label, make) {
     let url = null;
     return {
@@ -86,7 +86,7 @@ export function comparison(job) {
     drawn += 1;
     const now = drawn;
     if (left.make || right.make) {
-      // One that cannot be made is crossed out among the others.
+      // A picture that cannot be made is crossed out.
       const urls = await Promise.all([left, right].map((one) => one.url ?? one.make())).catch(() => null);
       if (urls && now === drawn) slider.show({ ...left, url: urls[0] }, { ...right, url: urls[1] });
       return;

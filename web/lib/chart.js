@@ -1,18 +1,18 @@
-// Lines over rounds, drawn by hand: few points, no library.
+// Line charts over rounds, without a library, as they have few points.
 
 import { h, s } from "./dom.js";
 
 const WIDTH = 420;
 const HEIGHT = 210;
-/** Lines of the grid at most, less one. */
+/** Most grid lines, less one. */
 const TICKS = 5;
-/** Rounds that are called so below a chart. */
+/** Most rounds labelled with the word "round" below a chart. */
 const MOST_WORDS = 7;
 const MARGIN = { left: 50, right: 12, top: 8, bottom: 24 };
-/** Of a mark, half its side. */
+/** Half the side of a mark. */
 const SIZE = 4;
 
-/** Marks by number: lines that differ for those, too, who do not see their colours. */
+/** Marks by number, which distinguish lines without colour vision. */
 const MARKS = [
   (a) => `M${-a} 0a${a} ${a} 0 1 0 ${2 * a} 0a${a} ${a} 0 1 0 ${-2 * a} 0Z`,
   (a) => `M${-a} ${-a}H${a}V${a}H${-a}Z`,
@@ -24,7 +24,7 @@ const MARKS = [
     `H${a * 0.4}V${a}H${-a * 0.4}V${a * 0.4}H${-a}Z`,
 ];
 
-/** A mark by itself, as in a legend. */
+/** A single mark, as in a legend. */
 export const mark = (number, style) =>
   s(
     "svg",
@@ -34,8 +34,8 @@ export const mark = (number, style) =>
 
 /**
  * A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]; `style`
- * and `mark` may stand in place of a colour. No value is above `most`. The legend has the values of
- * one round, which pointer and arrow keys choose.
+ * and `mark` may replace the colour. No value is above `most`. The legend has the values of one
+ * round, chosen by pointer or arrow keys.
  */
 export function chart(title, series, digits, most = Infinity) {
   const points = series.flatMap((one) => one.points);
@@ -112,7 +112,7 @@ function drawGrid(svg, rounds, { x, y }) {
       ),
     );
   }
-  // More of them stand too close for the word.
+  // More labels have no room for the word.
   const word = rounds.length > MOST_WORDS ? "" : "round ";
   for (const round of rounds) {
     svg.append(
@@ -140,7 +140,7 @@ function drawLine(svg, one, { x, y }, digits) {
   }
 }
 
-/** The lines by name, each with its value in the round that is shown. */
+/** The lines by name, each with its value in the chosen round. */
 function legendOf(series, digits) {
   const of = h("span", { class: "of" });
   const rows = series.map((one) => {
@@ -167,7 +167,7 @@ function legendOf(series, digits) {
   };
 }
 
-/** Lets one choose a round: by pointer or finger the nearest, by arrow keys the next. */
+/** Chooses a round: the nearest by pointer or finger, the next by arrow keys. */
 function pick(plot, rounds, first, x, chosen) {
   let now = first;
   const go = (round) => {
@@ -193,7 +193,7 @@ function pick(plot, rounds, first, x, chosen) {
   chosen(now);
 }
 
-/** Round values within a range, with as many decimals as tell them apart. */
+/** Round values within a range, with enough decimals to distinguish them. */
 export function ticks(low, high) {
   const rough = (high - low) / TICKS;
   const power = 10 ** Math.floor(Math.log10(rough));

@@ -1,16 +1,16 @@
-// The parts of a long page in a bar, each with an address of its own: `?part=NAME`.
+// A bar with the parts of a long page, each with its own address: `?part=NAME`.
 
 import { h } from "./dom.js";
 import { asked, keep, leap } from "./place.js";
 
-/** Fewer parts than these are seen at a glance. */
+/** Fewer parts need no bar. */
 const FEWEST = 3;
-/** So long does a part that was gone to stay in place while the page grows. */
+/** How long a part stays in place after a jump while the page grows. */
 const SETTLED_MS = 8000;
 
 /**
- * `{ root, leave }` for `parts` by name, in `main`: one that is hidden has no link yet. The part
- * that the address names is gone to once it is there.
+ * `{ root, leave }` for `parts` by name, in `main`; a hidden part has no link yet. Jumps to the
+ * part in the address once it appears.
  * @param {HTMLElement} main
  * @param {Record<string, HTMLElement>} parts
  */
@@ -35,7 +35,7 @@ export function contents(main, parts) {
   function draw() {
     const order = [...main.querySelectorAll("section:not([hidden])")].filter((part) => links.has(part));
     const now = order.map((part) => links.get(part));
-    // Setting the same nodes is a change, too, and would be drawn again without end.
+    // Setting the same nodes is also a change and would cause endless redrawing.
     if (now.some((one, i) => one !== root.children[i]) || root.children.length !== now.length) {
       root.replaceChildren(...now);
       root.hidden = now.length < FEWEST;
@@ -45,7 +45,7 @@ export function contents(main, parts) {
     settling ||= setTimeout(settle, SETTLED_MS);
   }
 
-  // Content that comes above a part moves it; it stays in place for a while, or until it is left.
+  // New content above a part moves it: it is held in place for a while, or until the user acts.
   const settle = () => { wanted = null; };
   const touches = ["wheel", "pointerdown", "keydown"];
   for (const touch of touches) addEventListener(touch, settle, { passive: true });

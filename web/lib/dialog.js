@@ -1,8 +1,8 @@
-// Questions above the page: before something is lost, among others.
+// Modal questions, for example before something is lost.
 
 import { h } from "./dom.js";
 
-/** Shows a question; whether the answer is `yes`. */
+/** Shows a question; returns whether the answer is `yes`. */
 export function ask(question, detail, yes, no = "Cancel") {
   const dialog = h("dialog", { "aria-label": question });
   const answer = (word) => () => dialog.close(word);
@@ -16,7 +16,7 @@ export function ask(question, detail, yes, no = "Cancel") {
 }
 
 /**
- * Shows a dialog; whether it is closed with `yes`. Escape and another page are no.
+ * Shows a dialog; returns whether it is closed with `yes`. Escape and leaving the page mean no.
  * @param {HTMLDialogElement} dialog
  * @returns {Promise<boolean>}
  */

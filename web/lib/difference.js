@@ -1,11 +1,11 @@
-// How much two pictures differ, as a picture.
+// The difference of two pictures, as a picture.
 
-/** So many times as bright as it is: small differences would be black. */
+/** Gain of the difference; small differences would otherwise look black. */
 export const TIMES = 4;
 
 /**
  * The address of a picture of |a - b|, times `TIMES`, of the encoded values of each channel; the
- * second picture is brought to the size of the first. The caller lets go of it
+ * second picture is scaled to the size of the first. The caller releases it
  * (`URL.revokeObjectURL`).
  */
 export async function difference(a, b) {
@@ -23,7 +23,7 @@ export async function difference(a, b) {
   return URL.createObjectURL(await canvas.convertToBlob({ type: "image/png" }));
 }
 
-/** Puts the difference of two lists of RGBA bytes into the first. */
+/** Writes the difference of two lists of RGBA bytes into the first. */
 export function amplify(one, other) {
   for (let i = 0; i < one.length; i++) {
     one[i] = i % 4 === 3 ? 255 : Math.min(255, TIMES * Math.abs(one[i] - other[i]));

@@ -1,18 +1,18 @@
-// Builds the page. Text from outside (names, log lines, warnings) only ever becomes a text node.
+// Builds the page. External text (names, log lines, warnings) only ever becomes a text node.
 
 /**
  * An element with properties, attributes (`data-`, `aria-`, `class`) and children.
- * @returns {any} What the tag makes it.
+ * @returns {any} An element of the tag's type.
  */
-export function h(tag, properties = {}, ...children) {
+ export function h(tag, properties = {}, ...children) {
   return fill(document.createElement(tag), properties, children);
 }
 
 /**
  * The same for SVG.
- * @returns {any} What the tag makes it.
+ * @returns {any} An element of the tag's type.
  */
-export function s(tag, attributes = {}, ...children) {
+ export function s(tag, attributes = {}, ...children) {
   return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children, true);
 }
 
@@ -27,12 +27,12 @@ function fill(node, properties, children, svg = false) {
   return node;
 }
 
-/** An element's identity when it is drawn again: a link's is where it leads. */
+/** An element's identity across redraws; a link's is its target. */
 const keyOf = (element) => element.dataset.key ?? element.getAttribute("href");
 
 /**
- * Replaces the children of a node that is drawn again and again; a link keeps the focus, and so
- * does what has a `data-key`.
+ * Replaces the children of a node on each redraw; links and elements with a `data-key` keep the
+ * focus.
  */
 export function refill(node, ...children) {
   const held = node.contains(document.activeElement) ? keyOf(document.activeElement) : null;
@@ -43,8 +43,8 @@ export function refill(node, ...children) {
 }
 
 /**
- * A refusal of the server: its words, `status`, `pointer` to the part at fault, and `wait`, the
- * seconds until it may be asked again, where it says so.
+ * An error response: its message, `status`, `pointer` to the part at fault, and `wait`, the seconds
+ * until a retry, if given.
  */
 export class Refusal extends Error {
   /** @type {number | undefined} */
@@ -52,7 +52,7 @@ export class Refusal extends Error {
 
   /**
    * @param {number} status
-   * @param {import("fled-api").Problem | null} problem Any other body is none.
+   * @param {import("fled-api").Problem | null} problem `null` for any other body.
    */
   constructor(status, problem) {
     super([problem?.detail ?? `The server responded with status ${status}.`, problem?.hint].filter(Boolean).join("\n"));
@@ -60,19 +60,19 @@ export class Refusal extends Error {
   }
 }
 
-/** The server's clock less ours, ms: times that it tells are compared with its own now. */
+/** The server's clock minus ours, ms; its times are compared with its own clock. */
 let ahead = 0;
-/** `Date` has whole seconds; less than this is no difference, ms. */
+/** Smaller differences are ignored, as `Date` has whole seconds, ms. */
 const SAME = 2000;
 
 export const serverNow = () => Date.now() + ahead;
 
 /**
- * A GET or other request; a problem document becomes a `Refusal`. Of a server that does not answer
- * the window hears as `unanswered`.
+ * A GET or other request; a problem document becomes a `Refusal`. If the server does not answer,
+ * the window receives an `unanswered` event.
  * @param {string} path
  * @param {RequestInit} options
- * @returns {Promise<any>} Of the type that the caller says.
+ * @returns {Promise<any>} Of the type that the caller expects.
  */
 export async function api(path, options = {}) {
   const response = await fetch(path, options).catch(() => {
@@ -99,7 +99,7 @@ export function duration(seconds) {
   return `${Math.floor(whole / 3600)} h ${Math.floor((whole % 3600) / 60)} min`;
 }
 
-/** 42 -> "0:42": for what counts up on the page. */
+/** 42 -> "0:42", for times that count up on the page. */
 export function stopwatch(seconds) {
   const whole = Math.max(0, Math.floor(seconds));
   const two = (part) => String(part).padStart(2, "0");
@@ -116,19 +116,19 @@ export function size(bytes) {
 /** "1 photograph", "2 photographs". */
 export const count = (number, word) => `${number.toLocaleString()} ${word}${number === 1 ? "" : "s"}`;
 
-/** When, as this browser writes it. */
+/** A time in this browser's format. */
 export const when = (time) => new Date(time).toLocaleString();
 
-/** A path with each part made safe for an address. */
+/** A path with each part encoded for a URL. */
 export const address = (path) => path.split("/").map(encodeURIComponent).join("/");
 
 /** "held_out" -> "held out". */
 export const plain = (word) => String(word).replaceAll("_", " ");
 
-/** A sentence of ours as nodes: names stand between backticks. */
+/** Our own text as nodes, with names between backticks. */
 export const prose = (text) => text.replaceAll(/\s+/g, " ").split("`").map((part, i) => (i % 2 ? h("code", {}, part) : part));
 
-/** A part of a page under a title; `show` fills and hides it. */
+/** A part of a page with a title; `show` fills and hides it. */
 export function section(title) {
   const node = h("section", { hidden: true }, h("h2", {}, title));
   node.content = h("div");
@@ -136,14 +136,14 @@ export function section(title) {
   return node;
 }
 
-/** Where a long page would be too long: a phone. */
+/** Whether the page is as narrow as a phone's, where a long page would be too long. */
 export const isNarrow = () => matchMedia("(max-width: 620px)").matches;
 
-/** A line that opens what is below it; it is open on a wide page. */
+/** A line that unfolds its content; it is open on a wide page. */
 export const fold = (title, ...content) =>
   h("details", { class: "fold", open: !isNarrow() }, h("summary", {}, title), ...content);
 
-/** A `section` that is folded away on a phone, where its title also tells its content's `gist`. */
+/** A `section` that is folded on a phone, where its title includes the `gist` of its content. */
 export function folding(title) {
   const gist = h("span", { class: "soft gist" });
   const content = h("div");
@@ -159,7 +159,7 @@ export function show(node, ...content) {
   node.gist.textContent = real.map((one) => one.gist).filter(Boolean).join(" · ");
 }
 
-/** In place of a page: a sentence, and the way back. */
+/** Replaces a page with a sentence and a link back. */
 export function nothing(main, words, href = "#/", where = "All jobs") {
   main.replaceChildren(h("section", {}, h("p", { role: "alert" }, words), h("p", {}, h("a", { href }, where))));
 }

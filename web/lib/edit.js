@@ -4,7 +4,7 @@ import { answered } from "./dialog.js";
 import { api, h } from "./dom.js";
 
 /**
- * Asks for a job's name and tags, and changes them; whether they were changed.
+ * Asks for a job's name and tags and changes them; returns whether they changed.
  * @param {import("fled-api").Job} job
  * @returns {Promise<boolean>}
  */

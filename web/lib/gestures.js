@@ -1,17 +1,17 @@
-// Wheel and two fingers on a frame: they enlarge what is in it.
+// Zooms the content of a frame by wheel and two fingers.
 
-/** A turn of the wheel. */
+/** Factor per turn of the wheel. */
 const TURN = 1.2;
 
-/** Where an event is in a frame, shares of its width and height. */
+/** Position of an event in a frame, as shares of its width and height. */
 export function at(frame, event) {
   const box = frame.getBoundingClientRect();
   return [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height];
 }
 
 /**
- * Lets wheel and pinch on `frame` move `view`. The wheel is the page's unless it comes with Ctrl or
- * after a click, or while `isOwn()`. `isPinching()` says whether two fingers are on it.
+ * Lets wheel and pinch on `frame` move `view`. The wheel scrolls the page unless Ctrl is held, a
+ * click came before, or `isOwn()`. `isPinching()` returns whether two fingers are on it.
  */
 export function gestures(frame, view, isOwn = () => false) {
   const fingers = new Map();
@@ -46,7 +46,7 @@ export function gestures(frame, view, isOwn = () => false) {
   frame.addEventListener("pointerleave", (event) => {
     if (!event.buttons) isHeld = false;
   });
-  // Else the browser scrolls by two fingers and takes them away.
+  // Otherwise the browser takes two fingers for scrolling.
   frame.addEventListener(
     "touchmove",
     (event) => {
@@ -55,7 +55,7 @@ export function gestures(frame, view, isOwn = () => false) {
     { passive: false },
   );
 
-  /** Two fingers: how far apart, and what is between them. */
+  /** Distance and centre of two fingers. */
   function pair() {
     if (fingers.size !== 2) return null;
     const [[ax, ay], [bx, by]] = fingers.values();
@@ -67,7 +67,7 @@ export function gestures(frame, view, isOwn = () => false) {
   return { isPinching: () => fingers.size > 1 };
 }
 
-/** The keys + − 0 and Shift with arrows in pictures; whether the key was one of them. */
+/** Handles + − 0 and Shift with arrows in pictures; returns whether the key was one of them. */
 export function zoomKey(event, view) {
   const [step, enlarge] = [0.12, 1.5];
   const to = {

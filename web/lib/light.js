@@ -1,8 +1,8 @@
-// Two pictures at the same brightness: the darker one is brightened until their means agree.
+// Brings two pictures to the same brightness: brightens the darker until their means agree.
 
-/** Side of the copy that is measured, px: a mean needs no more. */
+/** Side of the measured copy, px; a mean needs no more. */
 const SIDE = 64;
-/** More would show nothing but noise. */
+/** More would show only noise. */
 const MOST = 64;
 const HALVINGS = 24;
 
@@ -17,16 +17,16 @@ export function values(image) {
   return Float64Array.from({ length: SIDE * SIDE * 3 }, (_, i) => bytes[4 * Math.floor(i / 3) + (i % 3)] / 255);
 }
 
-/** The mean after a gain; what is brighter than white is white, as in `filter: brightness()`. */
+/** The mean after a gain, clipped at white as by `filter: brightness()`. */
 export const mean = (list, gain = 1) => list.reduce((sum, value) => sum + Math.min(1, value * gain), 0) / list.length;
 
-/** The gains, one of them 1, that give both pictures the mean of the brighter. */
+/** The gains, one of them 1, that raise both pictures to the mean of the brighter. */
 export function gains(a, b) {
   const [first, second] = [mean(a), mean(b)];
   return first < second ? [gainTo(a, second), 1] : [1, gainTo(b, first)];
 }
 
-/** The gains that give each of several pictures the mean of the brightest. */
+/** The gains that raise several pictures to the mean of the brightest. */
 export function level(lists) {
   const wanted = Math.max(...lists.map((list) => mean(list)));
   return lists.map((list) => gainTo(list, wanted));

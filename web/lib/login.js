@@ -1,21 +1,21 @@
-// Asks for a token where the server needs one. The token goes into a cookie that no script sees.
+// Asks for a token if the server needs one. The token goes into a cookie hidden from scripts.
 
 import { api, h } from "./dom.js";
 
 /**
- * Whether a token is needed, and what this browser's allows.
+ * Whether a token is needed, and the scopes of this browser's.
  * @returns {Promise<import("fled-api").Session>}
  */
 export const session = () => api("/login");
 
 /**
- * Whether somebody may see everything, of everybody.
+ * Whether a session may see the data of all users.
  * @param {import("fled-api").Session} who
  */
 export const seesAll = ({ needed, scopes }) =>
   !needed || (scopes ?? "").split(",").includes("admin");
 
-/** Shows the form; calls `done` when the token holds. */
+/** Shows the form; calls `done` once the token is accepted. */
 export function loginPage(main, done) {
   const token = h("input", { type: "password", autocomplete: "current-password", required: true, size: 40 });
   const problem = h("p", { class: "problem", role: "alert" });

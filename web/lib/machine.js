@@ -1,16 +1,16 @@
-// The machine that the server runs on, and those that work for it.
+// The server's machine, and its workers.
 
 import { api } from "./dom.js";
 
 let asked = null;
 
 /**
- * Asks the server what it has and lacks.
+ * Asks the server which of its requirements are met.
  * @returns {Promise<import("fled-api").Readiness>}
  */
 export const readiness = () => (asked = fetch("/readyz").then((response) => response.json()));
 
-/** Whether it said, when it was asked last, that it has no GPU. */
+/** Whether the server's last answer reported no GPU. */
 export async function lacksGpu() {
   try {
     return (await (asked ?? readiness())).has_gpu === false;
@@ -20,7 +20,7 @@ export async function lacksGpu() {
 }
 
 /**
- * Whether there are workers, for somebody who may see them.
+ * Whether there are workers; the session must be allowed to see them.
  * @returns {Promise<boolean>}
  */
 export const areWorkers = async () => (await api("/v1/workers")).workers.length > 0;

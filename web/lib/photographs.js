@@ -1,4 +1,4 @@
-// The verdicts on the photographs of a capture.
+// The results of checking a capture's photographs.
 
 import { address, count, h, prose } from "./dom.js";
 import { told } from "./table.js";
@@ -17,11 +17,11 @@ export const rejected = (capture) => capture.images.filter((image) => !image.acc
  */
 export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} used`;
 
-/** Mean value of a thumbnail as it is shown, and by how much it is made brighter for that at most. */
+/** Target mean of a thumbnail, and the largest gain used to reach it. */
 const [SHOWN, MOST] = [0.4, 12];
 
 /**
- * A small picture of it, brightened so that something is seen; empty where the server has none.
+ * A thumbnail, brightened to be visible; empty if the server has none.
  * @param {Capture} capture
  * @param {Capture["images"][number]} image
  */
@@ -34,7 +34,7 @@ function thumbnail(capture, { name, brightness }) {
 }
 
 /**
- * The photographs that are used, in a row: while nothing else is to be seen of a job.
+ * The used photographs in a row, shown while a job has nothing else to show.
  * @param {Capture} capture
  */
 export function strip(capture) {
@@ -42,7 +42,7 @@ export function strip(capture) {
     capture.images.filter((image) => image.accepted).map((image) => thumbnail(capture, image)));
 }
 
-/** A small picture of it that opens the photograph as it was uploaded. */
+/** A thumbnail that opens the photograph as uploaded. */
 function opening(capture, image) {
   const picture = thumbnail(capture, image);
   if (!picture) return "";
@@ -51,9 +51,10 @@ function opening(capture, image) {
 }
 
 /**
- * Every photograph; brightness is a share of white, sharpness of the median's; those that are not used come first, with the reason.
+ * Every photograph, unused ones first with the reason. Brightness is a share of white, sharpness a
+ * share of the median.
  * @param {Capture} capture
- * @param {Map<string, string>} positions what a job made of each view
+ * @param {Map<string, string>} positions a job's result for each view
  */
 export function photographs(capture, positions = new Map()) {
   const images = [...capture.images].sort((a, b) => Number(a.accepted) - Number(b.accepted));
@@ -72,7 +73,7 @@ export function photographs(capture, positions = new Map()) {
 }
 
 /**
- * Warnings about all of them.
+ * Warnings about the whole capture.
  * @param {Capture} capture
  */
 export function captureWarnings(capture) {

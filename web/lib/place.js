@@ -1,7 +1,7 @@
-// Addresses, and the state that a page keeps behind the `?` of its own: links and the way back lead
-// to it.
+// Addresses, and the state that a page keeps after the `?` of its own, so that links and the back
+// button restore it.
 
-/** One can tell so many lines apart. */
+/** More lines in a chart would be hard to distinguish. */
 export const MOST_COMPARED = 6;
 
 /** The address of a comparison. */
@@ -10,7 +10,7 @@ export const comparisonOf = (ids) => `#/compare/${ids.map(encodeURIComponent).jo
 /** The state in the address. */
 export const asked = () => new URLSearchParams(location.hash.split("?")[1] ?? "");
 
-/** Writes values into the address; what is empty is left out. No page is opened by that. */
+/** Writes non-empty values into the address without opening a page. */
 export function keep(values) {
   const real = Object.entries(values).filter(([, value]) => value !== "" && value !== null);
   const query = new URLSearchParams(real.map(([name, value]) => [name, String(value)])).toString();
@@ -19,7 +19,7 @@ export function keep(values) {
   if (now !== location.hash) history.replaceState(history.state, "", now);
 }
 
-/** Goes to a part of a page, unfolded; so does the focus. */
+/** Scrolls to a part of a page, unfolds it and gives it the focus. */
 export function leap(part) {
   const fold = part.querySelector("details.fold");
   if (fold && fold.parentElement === part) fold.open = true;

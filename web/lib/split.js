@@ -1,24 +1,24 @@
-// Two pictures on top of each other with a bar between them, enlarged together.
+// Two overlaid pictures with a bar between them, zoomed together.
 
 import { h } from "./dom.js";
 import { at, gestures, zoomKey } from "./gestures.js";
 import { gains, values } from "./light.js";
 import { zoom } from "./zoom.js";
 
-/** Of the comparison, px. */
+/** Height limit of the comparison, px. */
 const LARGEST_HEIGHT = 560;
-/** So close to the bar one takes the bar, also in an enlarged picture, px. */
+/** A press this close to the bar drags the bar, also when zoomed, px. */
 const GRIP = 24;
 const STEP = 0.05;
 const IN = 1.5;
-/** Enlarged so far, one wants to see the pixels as they are. */
+/** From this zoom on, pixels are shown unsmoothed. */
 export const PIXELS = 4;
 /** Two presses within this are a double click, ms. */
 const DOUBLE = 500;
 
 /**
- * `{ root, tools, view, lit(follower), show(a, b) }`: `tools` are its buttons, `view` is how it is
- * enlarged, and a follower of `lit` hears whether all is to be equally bright.
+ * `{ root, tools, view, lit(follower), show(a, b) }`: `tools` are its buttons, `view` is its zoom,
+ * and `lit` calls its follower with whether all pictures are to be equally bright.
  */
 export function split() {
   const below = picture("below");
@@ -33,9 +33,9 @@ export function split() {
   const { isPinching } = gestures(root, view, () => view.scale() > 1);
   const followers = [];
   let [share, drag] = [0.5, null];
-  // Whether a side shows what says something by its brightness.
+  // Whether a side shows a picture whose brightness has a meaning.
   let isFixed = false;
-  // Where the bar was before the presses that become a double click moved it.
+  // The bar's position before the presses of a double click moved it.
   let before = { share, at: 0 };
 
   function place(value) {
@@ -90,7 +90,7 @@ export function split() {
   root.addEventListener("pointermove", (event) => {
     if (!event.buttons) return;
     const [x, y] = at(root, event);
-    // Two fingers move the picture, and the one that is left begins where it is.
+    // Two fingers move the picture; a remaining one starts a drag where it is.
     if (isPinching()) { drag = [x, y]; return; }
     if (!drag) { place(x); return; }
     view.pan(x - drag[0], y - drag[1]);
@@ -110,7 +110,7 @@ export function split() {
     event.preventDefault();
   });
   for (const { image } of [below, top]) image.addEventListener("load", balance);
-  // Small pictures are enlarged, tall ones kept on the screen.
+  // Small pictures are enlarged, tall ones fitted to the screen.
   below.image.addEventListener("load", () => {
     root.style.maxWidth = `${Math.min(720, (LARGEST_HEIGHT * below.image.naturalWidth) / below.image.naturalHeight)}px`;
   });

@@ -1,4 +1,4 @@
-// A job's state in words.
+// Text for a job's state.
 
 import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
 
@@ -20,7 +20,7 @@ export const stateWord = (job) => (job.cancel_requested && job.state === "runnin
 export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWord(job));
 
 /**
- * The present activity of a job, in a few words.
+ * The current activity of a job, in a few words.
  * @param {Job} job
  */
 export function doing(job) {
@@ -40,8 +40,8 @@ function place({ queue_position: position }) {
 }
 
 /**
- * The line beside a job's state; changes by the second while it runs. `matched` is what structure
- * from motion has counted so far.
+ * The line beside a job's state; changes every second while it runs. `matched` is the progress of
+ * structure from motion so far.
  * @param {Job} job
  * @param {{ done: number, total: number } | null} matched
  */
@@ -58,7 +58,7 @@ export function progressLine(job, matched = null) {
 }
 
 /**
- * Structure from motion cannot say how far it is: what has passed, and what is usual.
+ * The time passed and the usual time, as structure from motion cannot report its share done.
  * @param {Job} job
  */
 function elapsed(job) {
@@ -70,8 +70,8 @@ function elapsed(job) {
 }
 
 /**
- * From the first attempt to the end; empty before that. Stage times may hold more: those of poses
- * that an earlier job found.
+ * Time from the first attempt to the end; empty before that. Stage times may be longer, as they
+ * include poses that an earlier job found.
  * @param {Job} job
  */
 export const took = (job) => (seconds(job) > 0 ? duration(seconds(job)) : "");
@@ -84,15 +84,15 @@ export const seconds = ({ started_at: from, finished_at: to }) =>
   from && to ? Math.max(1e-3, (Date.parse(to) - Date.parse(from)) / 1000) : 0;
 
 /**
- * Whether a finished job took its poses from an earlier one, whose time its first stage then has:
- * its stages hold more time than it took.
+ * Whether a finished job took its poses from an earlier one. Its first stage then has that job's
+ * time, so its stages sum to more time than it took.
  * @param {Job} job
  */
 export const reusedPoses = (job) =>
   isOver(job) && seconds(job) > 0 && job.stages.reduce((sum, stage) => sum + stage.seconds, 0) > seconds(job);
 
 /**
- * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.
+ * Sets a bar; one without progress is indeterminate, not at 0 %.
  * @param {HTMLProgressElement} bar
  * @param {Job} job
  */
@@ -102,7 +102,7 @@ export function setBar(bar, job) {
 }
 
 /**
- * Why it failed: what happened, then what to do, which some failures have said already.
+ * Why it failed: what happened, then what to do, which some failures already include.
  * @param {import("fled-api").JobError} error
  */
 export function failure({ code, detail, hint }) {

@@ -1,17 +1,17 @@
-// The pictures of a view in a row, enlarged and brightened together.
+// The pictures of a view in a row, zoomed and brightened together.
 
 import { h } from "./dom.js";
 import { at, gestures, zoomKey } from "./gestures.js";
 import { level, values } from "./light.js";
 import { PIXELS } from "./split.js";
 
-/** A press that moves by more is a drag, px. */
+/** A press that moves farther is a drag, px. */
 const DRAG = 4;
 
 /**
- * One stop of the Tab key, arrow keys within. A press puts a picture on the side of `slider` that
- * is chosen above them, with Shift on the other: `chosen(side, key)`. A picture without `url` has
- * `make()`, which promises one and is asked when the row comes near.
+ * One stop of the Tab key, arrow keys within. A press puts a picture on the side of `slider` chosen
+ * above them, with Shift on the other: `chosen(side, key)`. A picture without `url` has `make()`,
+ * which returns a promise of one and is called when the row comes near.
  */
 export function thumbnails(chosen, slider) {
   const { view } = slider;
@@ -90,7 +90,7 @@ export function thumbnails(chosen, slider) {
     return figure;
   }
 
-  /** A mouse moves what is enlarged; says whether the last press was such a move. */
+  /** Lets a mouse move a zoomed picture; returns whether the last press was such a move. */
   function drags(frame) {
     let [from, first, moved] = [null, null, false];
     frame.addEventListener("pointerdown", (event) => {
@@ -125,8 +125,8 @@ export function thumbnails(chosen, slider) {
   }
 
   /**
-   * At equal brightness all have the mean of the brightest that is there, but for what says
-   * something by its brightness.
+   * At equal brightness all get the mean of the brightest loaded picture, except those whose
+   * brightness has a meaning.
    */
   function balance() {
     const isReady = (image) => image.complete && image.naturalWidth > 0 && !image.isFixed;
@@ -142,7 +142,7 @@ export function thumbnails(chosen, slider) {
     const all = buttons();
     const place = all.indexOf(document.activeElement);
     const row = all.filter((one) => one.offsetTop === all[0].offsetTop).length;
-    // In a single row up and down lead on, too.
+    // In a single row, up and down also move along it.
     const columns = row === all.length ? 1 : row;
     const to = {
       ArrowLeft: place - 1,
@@ -159,7 +159,7 @@ export function thumbnails(chosen, slider) {
     all[to].tabIndex = 0;
     all[to].focus();
   });
-  // A row that is scrolled sideways is fetched as a whole, but not before it comes near.
+  // A row scrolled sideways is fetched as a whole, once it comes near.
   new IntersectionObserver(
     ([{ isIntersecting }]) => {
       if (!isIntersecting) return;
@@ -179,7 +179,7 @@ export function thumbnails(chosen, slider) {
   return {
     root,
     fill(pictures) {
-      // Pictures that are there already are not fetched again.
+      // Unchanged pictures are not fetched again.
       const now = JSON.stringify(pictures);
       if (now === known) return;
       known = now;

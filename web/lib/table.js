@@ -3,9 +3,9 @@
 import { h } from "./dom.js";
 
 /**
- * A table of `columns`: [{ title, class, head }] (`head` stands where a title is not enough) and `rows`: [[cell, ...], ...]. On a narrow page each row
- * is a card and each cell has its title in front, so the roles are said: as a card it is still a
- * table to whoever hears it.
+ * A table of `columns`: [{ title, class, head }] (`head` replaces the title if given) and `rows`:
+ * [[cell, ...], ...]. On a narrow page each row is a card and each cell has its title in front, so
+ * explicit roles keep it a table for screen readers.
  */
 export function table(columns, rows, properties = {}) {
   const head = h("tr", { role: "row" }, columns.map((column) =>
@@ -14,7 +14,7 @@ export function table(columns, rows, properties = {}) {
     h("thead", { role: "rowgroup" }, head), h("tbody", { role: "rowgroup" }, rows.map((cells) => row(columns, cells))));
 }
 
-/** The same of rows that do not change: a column that says nothing in any of them is left out. */
+/** The same for rows that do not change, without columns that are empty in all of them. */
 export function told(columns, rows) {
   const says = columns.map((_, i) => rows.some((cells) => !isEmpty(cells[i])));
   return table(columns.filter((_, i) => says[i]), rows.map((cells) => cells.filter((_, i) => says[i])));

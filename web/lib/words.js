@@ -20,10 +20,10 @@ const OPTIONS = {
   deliver: "Delivered round",
 };
 
-/** An option as every page calls it. */
+/** The name of an option on every page. */
 export const optionName = (key) => OPTIONS[key] ?? plain(key)[0].toUpperCase() + plain(key).slice(1);
 
-/** Of scores: title, what is better, what it means, and how it is written. */
+/** Scores: title, better direction, meaning, and format. */
 export const METRICS = {
   psnr_cc: {
     title: "PSNR after colour fit, dB",
@@ -80,7 +80,7 @@ export const METRICS = {
   },
 };
 
-/** Of numbers that are told by round, and compared with nothing. */
+/** Numbers shown by round but not compared. */
 const OTHERS = {
   shake: {
     title: "Shake, px",
@@ -98,7 +98,7 @@ const OTHERS = {
   },
 };
 
-/** Of scores while a job trains: of three views at most, at half their size. */
+/** Scores while a job trains, of at most three views at half size. */
 const LIVE = {
   live_psnr: {
     title: "PSNR of held-out views",
@@ -128,7 +128,7 @@ const LIVE = {
   },
 };
 
-/** Folded away beside numbers: what each of them means. */
+/** The meanings of numbers, folded away beside them. */
 export function meanings(keys) {
   const of = (key) => METRICS[key] ?? OTHERS[key] ?? LIVE[key];
   return h(
@@ -152,7 +152,7 @@ export function meanings(keys) {
 export const direction = ({ better }) =>
   better ? `${better === "higher" ? "Higher" : "Lower"} is better.` : "";
 
-/** Meaning of a failure's code, and the way out of it. */
+/** Meaning and remedy of each failure code. */
 const FAILURES = {
   bad_input: [
     "a photograph or an option cannot be used",
@@ -201,5 +201,5 @@ const FAILURES = {
 /** A failure in a few words. */
 export const failed = ({ code }) => FAILURES[code]?.[0] ?? String(code).replaceAll("_", " ");
 
-/** Its meaning and the way out: a sentence or two; none for a code that is new. */
+/** Its remedy: a sentence or two; empty for an unknown code. */
 export const advice = ({ code }) => FAILURES[code]?.[1] ?? "";

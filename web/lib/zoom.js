@@ -1,11 +1,11 @@
-// How far the pictures of a view are enlarged, and which part of them is seen: in all the same.
+// Zoom and visible part of a view's pictures, the same for all.
 
-/** Enlarged by more, one sees pixels only. */
+/** Largest zoom; beyond it only pixels are visible. */
 const MOST = 8;
 
 /**
- * `scale` from 1 on, and the shift of a picture's corner as a share of its frame, so that frames of
- * every size show the same part. `follow` calls back at once and after each change.
+ * `scale`, at least 1, and the shift of a picture's corner as a share of its frame, so that frames
+ * of any size show the same part. `follow` calls back at once and after each change.
  */
 export function zoom() {
   let [scale, x, y] = [1, 0, 0];
@@ -25,7 +25,7 @@ export function zoom() {
   return {
     scale: () => scale,
     transform: () => `translate(${100 * x}%, ${100 * y}%) scale(${scale})`,
-    /** By a factor around a point of the frame, else its middle; whether anything changed. */
+    /** Zooms about a point of the frame, else its middle; returns whether anything changed. */
     by(factor, px = 0.5, py = 0.5) {
       const to = Math.min(MOST, Math.max(1, scale * factor));
       return place(to, px - ((px - x) * to) / scale, py - ((py - y) * to) / scale);

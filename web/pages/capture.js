@@ -9,7 +9,7 @@ import { captureWarnings, photographs, used } from "../lib/photographs.js";
 
 const REFRESH_MS = 3000;
 
-/** `from`: a job whose options the form begins with. */
+/** `from`: a job whose options fill the form. */
 export function capturePage(main, id, from) {
   const base = `/v1/captures/${id}`;
   const head = h("section", { hidden: true });
@@ -19,7 +19,7 @@ export function capturePage(main, id, from) {
   const warnings = section("Warnings");
   const pictures = section("Photographs");
   let [gone, timer, of] = [false, 0, []];
-  /** The job that the photographs' positions are from. */
+  /** The job that gave the photographs' positions. */
   let placedBy = null;
   /** @type {import("fled-api").Capture} */
   let shown;
@@ -59,13 +59,13 @@ export function capturePage(main, id, from) {
       of = page.jobs;
       jobs.update(of);
       showPositions(of.find((job) => job.state === "succeeded"));
-      // Shown anew it would lose the focus.
+      // Showing it again would lose the focus.
       if (jobsPart.hidden === (of.length > 0)) show(jobsPart, of.length > 0 && jobs.root);
     } catch { /* The health line says so; the next round may succeed. */ }
     if (!gone) timer = setTimeout(refresh, REFRESH_MS);
   }
 
-  /** Where the photographs of the newest finished job were taken from. */
+  /** Shows the photographs' positions from the newest finished job. */
   async function showPositions(job) {
     if (!job || job.id === placedBy) return;
     placedBy = job.id;
@@ -94,7 +94,7 @@ export function capturePage(main, id, from) {
 }
 
 /**
- * Another job of the same photographs.
+ * A form that starts another job of the same photographs.
  * @param {import("fled-api").Capture} capture
  */
 function againForm(capture) {
@@ -126,7 +126,7 @@ function againForm(capture) {
 
   return {
     root,
-    /** The options of a job that there is. */
+    /** Fills in the options of an existing job. */
     async begin(id) {
       try {
         /** @type {import("fled-api").Job} */

@@ -7,7 +7,7 @@ import { row, table } from "../lib/table.js";
 const COLUMNS = [{ title: "Name" }, { title: "Photographs" }, { title: "Not used" }, { title: "Warnings" }, { title: "Uploaded", class: "soft" }];
 /** The API's largest page. */
 const MOST = 200;
-/** After an answer that did not come. */
+/** Delay after a failed request. */
 const AGAIN_MS = 3000;
 
 export function capturesPage(main) {

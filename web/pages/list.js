@@ -10,17 +10,17 @@ import { startForm } from "../upload/upload.js";
 import { failed } from "../lib/words.js";
 
 const REFRESH_MS = 1500;
-/** Where many are shown, they are asked for less often. */
+/** Interval of requests for a long list. */
 const MANY_MS = 6000;
 /** The API's largest page. */
 const MOST = 200;
-/** Jobs that are shown at first, and more each time. */
+/** Jobs shown at first, and added each time. */
 const PAGE = 50;
 
 const STATES = ["queued", "running", "succeeded", "failed", "cancelled"];
 const PRESETS = ["preview", "standard", "paper"];
 
-/** Orders of the list beside the newest first. A score against ground truth says more. */
+/** Orders of the list besides newest first. Scores against ground truth come first. */
 const ORDERS = {
   score: (a, b) =>
     Number(b.score?.reference === "gt") - Number(a.score?.reference === "gt") ||
@@ -43,8 +43,8 @@ const COLUMNS = [
 ];
 
 /**
- * Jobs as a table that is drawn again, with a bar for those that are marked:
- * `{ root, update(jobs, known), leave }`; `known` are those whose places in the queue are known.
+ * A table of jobs that is redrawn, with a bar for selected ones:
+ * `{ root, update(jobs, known), leave }`; `known` are those with known queue positions.
  */
 export function jobTable(refresh) {
   const list = table(COLUMNS, []);
@@ -91,7 +91,7 @@ function cells(job, known) {
 }
 
 /**
- * How its result compares, in decibels; with what, in a tip.
+ * Its score in decibels; a tip names the reference.
  * @param {import("fled-api").Job} job
  */
 function score({ score: of }) {
@@ -102,7 +102,7 @@ function score({ score: of }) {
   return h("span", { title: words }, `${of.psnr_cc_db.toFixed(1)} dB`);
 }
 
-/** Why a job failed, below it and as wide as the list. */
+/** Why a job failed, on a row of the list's full width below it. */
 const reason = (error) =>
   h(
     "tr",
@@ -114,7 +114,7 @@ const reason = (error) =>
     ),
   );
 
-/** The activity of a job, or its wait. */
+/** The activity of a job, or its queue position. */
 function now(job, known) {
   if (job.state === "queued") return waits(job, known);
   const left =
@@ -122,7 +122,7 @@ function now(job, known) {
   return doing(job) + left;
 }
 
-/** Its place, and what must end before it begins, as far as the list knows. */
+/** Its position, and the job before it if the list knows it. */
 function waits(job, known) {
   const place = doing(job);
   if (job.queue_position === 1) {
@@ -137,7 +137,7 @@ function waits(job, known) {
   return job.waits_for ? `${behind}; needs ${job.waits_for}` : behind;
 }
 
-/** The search: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
+/** The search: `{ root, values(), clear() }`; `changed(anew)` says whether to ask again. */
 function filters(changed) {
   const wanted = asked();
   const search = h("input", {
@@ -191,7 +191,7 @@ function filters(changed) {
   };
 }
 
-/** Pages of the API until there are `wanted` jobs: `{ jobs, isAll }`. */
+/** Reads pages of the API until there are `wanted` jobs: `{ jobs, isAll }`. */
 async function pages(wanted, state) {
   const jobs = [];
   for (let cursor = ""; ;) {
@@ -206,7 +206,7 @@ async function pages(wanted, state) {
   }
 }
 
-/** How much was searched, in a sentence. */
+/** The extent of the search, in a sentence. */
 function searched(found, { jobs, isAll }, { q, state, preset }) {
   const of = `${state ? `${state} ` : ""}${jobs.length === 1 ? "job" : "jobs"}`;
   const all = isAll
@@ -219,7 +219,7 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
 }
 
 export function listPage(main) {
-  // Asked for only where it is shown: a reload would fetch a hidden one, lazy or not.
+  // Loaded only if shown: a reload would fetch a hidden image, lazy or not.
   const example = h("img", { alt: "", width: 804, height: 225 });
   const jobs = jobTable(() => refresh());
   const empty = h(
@@ -292,7 +292,7 @@ export function listPage(main) {
     const mine = ++asks;
     try {
       const found = await pages(wanted, filter.values().state);
-      // An answer that comes after that to a later question is old.
+      // Ignore an answer that a later request has overtaken.
       if (gone || mine !== asks) return;
       had = found;
       draw();

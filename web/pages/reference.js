@@ -1,4 +1,4 @@
-// The API's reference, made from its own description: what each address does, takes and answers.
+// The API reference, made from openapi.json: each path's purpose, parameters and responses.
 
 import { api, h } from "../lib/dom.js";
 
@@ -61,7 +61,7 @@ function bodies(document, body) {
   return table("Request body", rows);
 }
 
-/** The fields of an object: `[name, schema, whether it is needed]`. */
+/** The fields of an object: `[name, schema, isRequired]`. */
 function properties(document, schema) {
   const whole = resolved(document, schema ?? {});
   const parts = [whole, ...(whole.oneOf ?? []), ...(whole.allOf ?? [])].map((part) => resolved(document, part));

@@ -1,4 +1,4 @@
-// Jobs that are marked in a list, and what is done with all of them.
+// Selected jobs of a list, and the actions on all of them.
 
 import { ask } from "../lib/dialog.js";
 import { api, count, h } from "../lib/dom.js";
@@ -10,8 +10,8 @@ const GONE = "This permanently deletes their scenes, pictures and scores. The ph
 const nameOf = (job) => `“${job.name || "unnamed"}”`;
 
 /**
- * `{ root, box(job), update(jobs) }`: a bar that is there while a job is marked, and the mark of a
- * job. `refresh` asks the server again after jobs were deleted.
+ * `{ root, box(job), update(jobs) }`: a bar shown while a job is selected, and a job's check box.
+ * `refresh` asks the server again after jobs were deleted.
  */
 export function selection(refresh) {
   const chosen = new Map();
@@ -83,7 +83,7 @@ export function selection(refresh) {
         await api(`/v1/jobs/${job.id}`, { method: "DELETE" });
         chosen.delete(job.id);
       } catch (error) {
-        // Somebody else deleted it: that is what was wanted.
+        // Already deleted elsewhere, as requested.
         if (error.status === 404) chosen.delete(job.id);
         else faults.push(`Could not delete ${nameOf(job)}: ${error.message}`);
       }
@@ -112,7 +112,7 @@ export function selection(refresh) {
       });
       return box;
     },
-    /** Takes the jobs that the list shows now. */
+    /** Takes the jobs now in the list. */
     update(jobs) {
       shown = jobs.map((job) => job.id);
       for (const job of jobs) if (chosen.has(job.id)) chosen.set(job.id, job);
@@ -129,7 +129,7 @@ function howMany(number) {
     : `${number} jobs selected.`;
 }
 
-/** Of marked jobs that a filter hides. */
+/** A note on selected jobs that a filter hides. */
 function whereAre(unseen, number) {
   if (unseen === 0) return "";
   if (unseen === number) return " None of them is shown in the list.";

@@ -1,11 +1,11 @@
-// A job at a glance: one of its photographs, dark as it was, and the same view restored.
+// A pair of thumbnails per job: one of its dark photographs, and the same view restored.
 
 import { address, api, h } from "../lib/dom.js";
 
-/** So many are asked for at once: a list must not take the whole of what a client may ask. */
+/** Parallel requests; a list must not use up the client's rate limit. */
 const AT_ONCE = 3;
 
-/** Makes the pair of a job; it is asked for when it comes near, and the same when drawn again. */
+/** Makes the pair of a job, loads it when it comes near, and reuses it when redrawn. */
 export function thumbs() {
   const made = new Map();
   const waiting = [];
@@ -47,7 +47,7 @@ export function thumbs() {
 }
 
 /**
- * The round to show: the delivered one, or the last that is finished; 0 before the first.
+ * The round to show: the delivered one, or the last finished; 0 before the first.
  * @param {import("fled-api").Job} job
  */
 function restored(job) {
@@ -58,7 +58,7 @@ function restored(job) {
   );
 }
 
-/** A view that trained nothing shows what the scene knows of itself. */
+/** Prefers a held-out view, whose render shows how the scene generalises. */
 async function fill(pair, id, round) {
   const base = `/v1/jobs/${id}/artifacts`;
   const cameras = await api(`${base}/cameras.json`).catch(() => []);

@@ -5,7 +5,7 @@ import { api, h } from "../lib/dom.js";
 import { session } from "../lib/login.js";
 
 /**
- * The content of such an address: the job and the link's secret; `null` for others.
+ * The job and the secret in such an address; `null` for other addresses.
  * @returns {[string, string] | null}
  */
 export function link(hash) {
@@ -13,7 +13,7 @@ export function link(hash) {
   return found && [found[1], found[2]];
 }
 
-/** Opens the job of a link, then shows its page; `enter` looks again at who one is. */
+/** Opens the job of a link, then shows its page; `enter` reads the session again. */
 export function openLink(main, [job, secret], enter) {
   const line = h("p", { class: "hint", role: "status" }, "Opening the job…");
   main.append(h("section", {}, line));
@@ -24,7 +24,7 @@ export function openLink(main, [job, secret], enter) {
 
   async function open() {
     const { needed, scopes } = await session();
-    // A browser that sees the job already keeps its session.
+    // A browser that already sees the job keeps its session.
     if (needed && (scopes === null || !(await seen()))) {
       if (scopes !== null && !(await ask("Open this link?", "Your current login cannot see this job. If you open the link, you see only this job until you log out.", "Open link", "Stay here"))) {
         location.hash = "#/";
@@ -33,11 +33,11 @@ export function openLink(main, [job, secret], enter) {
       const body = JSON.stringify({ token: secret });
       await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
     }
-    // Out of the address, and so out of the history and of what is copied from there.
+    // Removes the secret from the address, and so from the history and from copied addresses.
     history.replaceState(null, "", `#/jobs/${job}`);
     enter();
   }
-  /** Whether the session that this browser has shows the job. */
+  /** Whether this browser's session may see the job. */
   async function seen() {
     const { ok, status } = await fetch(`/v1/jobs/${job}`);
     if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server responded with status ${status}.`);

@@ -1,11 +1,11 @@
-// Waiting jobs, by the machine that they need.
+// Waiting jobs, by the machine they need.
 
 import { count, h, refill } from "../lib/dom.js";
 
-/** Jobs of a group that are named; the list has them all. */
+/** Jobs named per group; the list has all. */
 const NAMED = 5;
 
-/** The section of jobs that wait: `{ root, update(page, isSeen) }`. */
+/** The section of waiting jobs: `{ root, update(page, isSeen) }`. */
 export function waitingList() {
   const content = h("div");
   const root = h("section", { class: "waiting", hidden: true }, h("h2", {}, "Waiting"), content);
@@ -36,7 +36,7 @@ function drawn({ jobs, next_cursor: next }) {
   return [list, h("p", {}, h("a", { href: "#/?state=queued" }, all))];
 }
 
-/** How many wait for the same, and the first of them. */
+/** The number of jobs waiting for the same machine, and the first of them. */
 function group([wanted, jobs]) {
   const links = jobs.slice(0, NAMED).flatMap((job, i) => [
     i > 0 && ", ",

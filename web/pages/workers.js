@@ -1,4 +1,4 @@
-// The machines that work, for those who may see everything: what each is, and what it does.
+// The workers, for sessions that may see everything: each one's hardware and activity.
 
 import { Refusal, api, count, h, refill, when } from "../lib/dom.js";
 import { seesAll } from "../lib/login.js";
@@ -21,7 +21,7 @@ const COLUMNS = [
   { title: "Last seen", class: "seen" },
 ];
 
-/** The API's states of a worker, as the page calls them. */
+/** Labels of the API's worker states. */
 const LABELS = { works: "active", stops: "stopping", lost: "lost" };
 
 const DENIED =
@@ -35,7 +35,7 @@ const NONE =
 /** @returns {Promise<import("fled-api").Workers>} */
 const ask = () => api("/v1/workers");
 
-/** The page, anew every few seconds while it is seen. */
+/** The page, refreshed every few seconds while visible. */
 export function workersPage(main, who) {
   document.title = "Workers · fled";
   const gist = h("p", { class: "hint" });
@@ -75,10 +75,10 @@ export function workersPage(main, who) {
     const mine = ++asks;
     const isOld = () => gone || mine !== asks;
     try {
-      const [told, running, queued] = await Promise.all([ask(), jobsOf("running"), jobsOf("queued")]);
+      const [answer, running, queued] = await Promise.all([ask(), jobsOf("running"), jobsOf("queued")]);
       if (isOld()) return;
-      draw(told, new Map(running.jobs.map((job) => [job.id, job])));
-      waiting.update(queued, told.workers.length > 0);
+      draw(answer, new Map(running.jobs.map((job) => [job.id, job])));
+      waiting.update(queued, answer.workers.length > 0);
     } catch (error) {
       if (isOld()) return;
       const words = error instanceof Refusal ? error.message : "The server is not responding.";
@@ -86,7 +86,7 @@ export function workersPage(main, who) {
     }
     if (!document.hidden) timer = setTimeout(refresh, REFRESH_MS);
   }
-  /** Nobody looks at what is hidden; whoever comes back sees what is so now. */
+  /** Pauses while the page is hidden, and refreshes at once when it is shown. */
   function turn() {
     clearTimeout(timer);
     if (!document.hidden) refresh();
@@ -108,12 +108,12 @@ export function workersPage(main, who) {
 /** @returns {Promise<import("fled-api").Jobs>} */
 const jobsOf = (state) => api(`/v1/jobs?state=${state}&limit=${MOST}`);
 
-/** Words that are told again only when they are others. */
+/** Sets text only if it changed, so that screen readers do not repeat it. */
 function say(node, words) {
   if (node.textContent !== words) node.textContent = words;
 }
 
-/** How many there are and what they have room for. */
+/** The number of workers and their free capacity. */
 function summary(workers) {
   const of = (state) => workers.filter((worker) => worker.state === state);
   const [working, stopping, lost] = ["works", "stops", "lost"].map(of);
@@ -133,7 +133,7 @@ function summary(workers) {
   return `${start}. ${run} running, ${rest}.`;
 }
 
-/** How many workers there are of each version; what a lost one had says nothing of now. */
+/** Workers per version; lost ones do not count. */
 function versionsOf(workers) {
   const counts = new Map();
   for (const { version, state } of workers) {
@@ -148,13 +148,13 @@ const versionWords = (counts) =>
     .map(([version, number]) => `${version} on ${number}`)
     .join(", ")}.`;
 
-/** The version that more have than any other; none where no other differs from it. */
+/** The most common version; none for a tie or a single version. */
 function usual(counts) {
   const [first, second] = [...counts].sort(([, a], [, b]) => b - a);
   return second && first[1] > second[1] ? first[0] : null;
 }
 
-/** Workers as a table whose rows stay, so that focus, selection and scroll do: `{ root, update }`. */
+/** A table of workers whose rows are kept, with focus, selection and scroll: `{ root, update }`. */
 function workerTable() {
   const root = table(COLUMNS, [], { hidden: true });
   root.classList.add("workers");
@@ -181,7 +181,7 @@ function workerRow() {
   const cells = COLUMNS.map(() => h("div"));
   const shown = [];
   const root = row(COLUMNS, cells);
-  /** Draws a cell where what it shows is other than before. */
+  /** Redraws a cell if its content changed. */
   const put = (i, nodes) => {
     const now = nodes.map((node) => node.outerHTML ?? node).join();
     if (shown[i] === now) return;
@@ -225,7 +225,7 @@ function runs({ running, jobs: most, state }, { jobs }) {
 
 /**
  * @param {import("fled-api").Running} one
- * @param {Job | undefined} job Where it is not among those that run, it has just begun or ended.
+ * @param {Job | undefined} job `undefined` if it has just begun or ended.
  */
 function run({ job_id: id, steps_per_second: speed }, job) {
   const name = job ? job.name || "unnamed" : `job ${id}`;
@@ -255,7 +255,7 @@ function heard({ seen_at: seen, started_at: started }, { now }) {
   return [at(seen, `${passed(seen)} ago`), small("up for ", at(started, passed(started)))];
 }
 
-/** 75 -> "75 s", 7,500 -> "2 h": one number, as it is read at a glance. */
+/** 75 -> "75 s", 7,500 -> "2 h": a single number, to be read at a glance. */
 function age(seconds) {
   const units = [[86400, "days"], [3600, "h"], [60, "min"]];
   const [length, unit] = units.find(([length]) => seconds >= 2 * Number(length)) ?? [1, "s"];

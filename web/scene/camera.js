@@ -1,11 +1,11 @@
-// The mathematics of the camera: axes as in OpenCV, x right, y down, z forward.
+// Camera mathematics, with OpenCV's axes: x right, y down, z forward.
 //
 // A pose is `{ axes, eye, distance }`: the camera's axes in the world (the rows of world to
-// camera), where it stands, and how far ahead the point lies that it turns around.
+// camera), its position, and the distance ahead to the point that it orbits.
 
-/** Steepest that one looks up or down, radians: at the pole nothing is left or right. */
+/** Steepest view up or down, radians, as left and right are undefined at the pole. */
 const STEEPEST = (85 * Math.PI) / 180;
-/** The point one turns around is never nearer or farther, in radii of the photographers' ring. */
+/** Limits of the distance to the orbited point, in radii of the photographers' ring. */
 const NEAREST = 0.15;
 const FARTHEST = 12;
 /** Weight of a guess against the crossing of the lines of sight, as in orbit.rs. */
@@ -41,7 +41,7 @@ export function poseOf({ world_to_camera: rows }, surroundings) {
 export const matrixOf = ({ axes, eye }) =>
   [...axes.map((axis) => [...axis, -dot(axis, eye)]), [0, 0, 0, 1]];
 
-/** The field of view of `k` on a picture of another shape: all of it is seen. */
+/** The field of view of `k`, all of it visible, on a picture of another shape. */
 export function fitted(k, width, height) {
   const scale = Math.min(width / k.width, height / k.height);
   return {
@@ -50,16 +50,16 @@ export function fitted(k, width, height) {
   };
 }
 
-/** The angle that a picture of `k` is high, radians. */
+/** The vertical field of view of `k`, radians. */
 export const angleOf = (k) => 2 * Math.atan(k.height / (2 * k.fy));
 
-/** `k` as through another lens: its picture is `angle` high. */
+/** `k` with `angle` as vertical field of view. */
 export function seenAt(k, angle) {
   const nearer = Math.tan(angleOf(k) / 2) / Math.tan(angle / 2);
   return { ...k, fx: k.fx * nearer, fy: k.fy * nearer };
 }
 
-/** The place that photographers stood around: `{ centre, radius, up }`, as orbit.rs finds it. */
+/** The ring of the photographers: `{ centre, radius, up }`, as orbit.rs finds it. */
 export function surroundingsOf(cameras) {
   const poses = cameras.map((camera) => poseOf(camera));
   const middle = mean(poses.map(({ eye }) => eye));
@@ -75,7 +75,7 @@ export function surroundingsOf(cameras) {
   return { centre, radius: radius || 1, up: down.map((value) => -value) };
 }
 
-/** The point nearest to all lines of sight, drawn slightly to the guess. */
+/** The point nearest to all lines of sight, pulled slightly towards the guess. */
 function crossing(poses, guess) {
   const weight = GUESS_WEIGHT * poses.length;
   const rows = [[weight, 0, 0], [0, weight, 0], [0, 0, weight]];
@@ -97,26 +97,26 @@ function crossing(poses, guess) {
   });
 }
 
-/** A vector turned around a unit axis, right-handed. */
+/** A vector rotated about a unit axis, right-handed. */
 function rotated(v, axis, angle) {
   const [c, s] = [Math.cos(angle), Math.sin(angle)];
   return along(along(v.map((value) => value * c), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
 }
 
-/** Axes that are square to each other again, after many turns. */
+/** Makes axes orthogonal again, after many turns. */
 function squared([x, , z]) {
   const forward = unit(z);
   const right = unit(along(x, forward, -dot(x, forward)));
   return [right, cross(forward, right), forward];
 }
 
-/** The pose turned around `point`: `right` around `up`, then `upward` where it looks. */
+/** The pose rotated about `point`: by `right` about `up`, then by `upward` in pitch. */
 function turned(pose, up, point, right, upward) {
   const across = cross(pose.axes[2], up);
   // A camera that looks straight down, as from a drone, has no horizon.
   const level = Math.hypot(...across) > 1e-3 ? unit(across) : pose.axes[0];
   const pitch = Math.asin(clamp(dot(pose.axes[2], up), -1, 1));
-  // A photograph may already look steeper; it only comes back.
+  // A photograph may look steeper already; then it can only turn back.
   const most = Math.max(STEEPEST, Math.abs(pitch));
   const tilt = clamp(pitch + upward, -most, most) - pitch;
   const turn = (v) => rotated(rotated(v, level, tilt), up, right);
@@ -127,11 +127,11 @@ function turned(pose, up, point, right, upward) {
   };
 }
 
-/** Goes around what lies ahead: to the right and up, radians. */
+/** Orbits the point ahead: to the right and up, radians. */
 export const orbited = (pose, { up }, right, upward) =>
   turned(pose, up, along(pose.eye, pose.axes[2], pose.distance), right, -upward);
 
-/** Turns the head: to the right and up, radians. */
+/** Turns in place: to the right and up, radians. */
 export const looked = (pose, { up }, right, upward) => turned(pose, up, pose.eye, -right, upward);
 
 /** Walks: right, down and forward, world units. */
@@ -140,10 +140,10 @@ export const walked = (pose, steps) => ({
   eye: steps.reduce((eye, step, k) => along(eye, pose.axes[k], step), pose.eye),
 });
 
-/** Goes up along the world's own up, world units. */
+/** Rises along the world's up axis, world units. */
 export const risen = (pose, { up }, step) => ({ ...pose, eye: along(pose.eye, up, step) });
 
-/** Nearer to what lies ahead by a factor below 1; at last one walks through. */
+/** Scales the distance to the point ahead; below the least distance it walks on. */
 export function neared(pose, { radius }, factor) {
   const step = pose.distance * (1 - factor);
   const distance = clamp(pose.distance - step, NEAREST * radius, FARTHEST * radius);
@@ -151,7 +151,7 @@ export function neared(pose, { radius }, factor) {
   return { ...walked(pose, [0, 0, step]), distance };
 }
 
-/** Between two poses: `part` 0 is the first, 1 the second. */
+/** Interpolates two poses: `part` 0 is the first, 1 the second. */
 export function between(a, b, part) {
   if (part >= 1) return b;
   const mix = (u, v) => along(u, along(v, u, -1), part);

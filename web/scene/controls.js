@@ -1,22 +1,22 @@
-// How one moves: pointer, touch, wheel and keys become steps of the camera.
+// Navigation: turns pointer, touch, wheel and keys into camera movements.
 
 import { looked, neared, orbited, risen, walked } from "./camera.js";
 
-/** Radians a pixel that is dragged. */
+/** Radians per pixel dragged. */
 const TURN = 0.005;
-/** Radians, and radii of the photographers' ring, a second that a key is held. */
+/** Radians, and radii of the photographers' ring, per second of a held key. */
 const TURN_SPEED = 1;
 const WALK_SPEED = 0.6;
-/** With Shift, times that. */
+/** Speed factor of Shift. */
 const RUN = 3;
-/** By a turn of the wheel of so many px the distance halves. */
+/** Turn of the wheel that halves the distance, px. */
 const HALVING = 500;
 /** A press that moved by less is a click, px. */
 const CLICK = 4;
-/** Lines and pages of a wheel that does not count pixels, px. */
+/** Pixels per unit of the wheel: pixel, line, page. */
 const UNITS = [1, 32, 400];
 
-/** By physical key, so that they lie as a hand does whatever the keyboard says. */
+/** By physical key, so that they lie under the hand with every keyboard layout. */
 const WALKS = {
   KeyW: [0, 0, 1], KeyS: [0, 0, -1], KeyA: [-1, 0, 0], KeyD: [1, 0, 0],
 };
@@ -26,9 +26,9 @@ const NEARS = { Equal: -1, NumpadAdd: -1, Minus: 1, NumpadSubtract: 1 };
 const isMoving = (code) => [WALKS, RISES, LOOKS, NEARS].some((keys) => code in keys);
 
 /**
- * Listens on `frame`. `camera` has `pose`, `surroundings`, `focal()` in CSS px, `speed()`, `moved(pose)` for
- * what was done at once, `wake()` for keys that are held, and `clicked(x, y)`. The wheel and a
- * finger that moves up or down are the page's as long as the frame has no focus.
+ * Listens on `frame`. `camera` has `pose`, `surroundings`, `focal()` in CSS px, `speed()`,
+ * `moved(pose)` for immediate movements, `wake()` for held keys, and `clicked(x, y)`. While the
+ * frame has no focus, the wheel and a vertical swipe scroll the page.
  */
 export function controls(frame, camera) {
   const pointers = new Map();
@@ -48,7 +48,7 @@ export function controls(frame, camera) {
     travelled = 0;
     frame.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    // A press with the right button would not give the focus.
+    // The right button would not set the focus by itself.
     if (event.pointerType === "mouse") frame.focus({ preventScroll: true });
   });
   on("pointermove", (event) => {
@@ -62,7 +62,7 @@ export function controls(frame, camera) {
     pointers.set(event.pointerId, [event.clientX, event.clientY]);
   });
 
-  /** Two fingers shift by half of what each moves, and come nearer as they part. */
+  /** Each of two fingers pans by half its movement; spreading them moves nearer. */
   function pinch(event, dx, dy) {
     const other = [...pointers].find(([id]) => id !== event.pointerId)[1];
     const apart = ([x, y]) => Math.max(1, Math.hypot(x - other[0], y - other[1]));
@@ -100,9 +100,9 @@ export function controls(frame, camera) {
   on("blur", () => keys.clear());
 
   return {
-    /** Whether a key is held that moves. */
+    /** Whether a movement key is held. */
     isHeld: () => keys.size > 0,
-    /** Where the held keys lead within `seconds`. */
+    /** The pose after `seconds` of the held keys. */
     held(seconds) {
       const [angle, way] = [TURN_SPEED * seconds, camera.speed() * WALK_SPEED * seconds * (runs ? RUN : 1)];
       const { surroundings } = camera;

@@ -1,25 +1,25 @@
-// Where the photographs were taken from, as lines over the scene.
+// The photographs' cameras, drawn as lines over the scene.
 
 import { along, dot, poseOf } from "./camera.js";
 
-/** How far ahead of its camera a frustum ends, in radii of the photographers' ring. */
+/** Length of a frustum, in radii of the photographers' ring. */
 const DEPTH = 0.055;
-/** Nearer than this to the eye a line ends, in the same. */
+/** Lines are clipped nearer than this to the eye, in the same unit. */
 const NEAR = 0.002;
-/** So near to a camera's place a click means it, px. */
+/** Largest distance of a click from a camera that it selects, px. */
 const REACH = 14;
 /**
- * Dark below light: they are seen on every ground. Colour and width, px.
+ * Dark lines below light ones, visible on any background. Colour and width, px.
  * @type {[string, number][]}
  */
 const [BELOW, LINE, CHOSEN] = [["#000a", 3], ["#f2b84b", 1.3], ["#6cb6ff", 1.8]];
 
-/** The frusta of `cameras`: `draw` paints them, `at` says which one a click meets. */
+/** The frusta of `cameras`: `draw` paints them, `at` finds the clicked one. */
 export function frusta(cameras, { radius }) {
   const shapes = cameras.map((camera) => shape(camera, DEPTH * radius));
 
   return {
-    /** On a 2-D context, before `pose` with intrinsics `k` of its canvas; `chosen` is an index. */
+    /** Draws on a 2-D context as seen from `pose` with the canvas's `k`; `chosen` is an index. */
     draw(context, pose, k, chosen) {
       const scale = k.width / context.canvas.clientWidth;
       context.clearRect(0, 0, k.width, k.height);
@@ -36,7 +36,7 @@ export function frusta(cameras, { radius }) {
         }
       }
     },
-    /** The camera whose place is nearest to a point of the canvas, px; -1 for none. */
+    /** The camera nearest to a point of the canvas, px; -1 for none. */
     at(pose, k, [x, y], scale) {
       let [best, nearest] = [-1, REACH * scale];
       shapes.forEach((one, i) => {
@@ -62,7 +62,7 @@ function shape(camera, depth) {
 const edges = ({ eye, corners }) => corners.flatMap((corner, i) =>
   [[eye, corner], [corner, corners[(i + 1) % 4]]]);
 
-/** From the place of a camera its lines would cross the whole picture. */
+/** Whether the view is at a camera, whose lines would cross the whole picture. */
 const isInside = (pose, { eye }, radius) =>
   Math.hypot(...along(eye, pose.eye, -1)) < 0.5 * DEPTH * radius;
 
@@ -75,7 +75,7 @@ function projected(pose, k, point, near) {
   return place[2] > near ? onPicture(k, place) : null;
 }
 
-/** The part of a line before the eye. */
+/** Draws the part of a line in front of the eye. */
 function line(context, pose, k, from, to, near) {
   let [a, b] = [seen(pose, from), seen(pose, to)];
   if (a[2] > b[2]) [a, b] = [b, a];

@@ -1,17 +1,17 @@
-// Draws Gaussians by WebGL 2, with the formulas of the server's own renderer.
+// Draws Gaussians with WebGL 2 and the formulas of the server's renderer.
 
 import { matrixOf } from "./camera.js";
 import { GEOMETRY, SceneError, harmonicsRow } from "./ply.js";
 import { BLENDING, COVERING, SHOWING, projecting } from "./shaders.js";
 
-/** Splats nearer than this are left out, world units: that of src/core/splat/uniform.rs. */
+/** Splats nearer than this are left out, world units, as in src/core/splat/uniform.rs. */
 export const NEAR = 0.01;
 /** Texels in a row of a texture, at most. */
 const WIDEST = 4096;
 
-/** A renderer on this canvas; `null` where there is no WebGL 2. */
+/** A renderer on this canvas; `null` without WebGL 2. */
 export function renderer(canvas) {
-  // The picture stays: it is drawn only when something changed, and can be saved.
+  // The picture persists: it is drawn only on changes, and can be saved.
   const gl = canvas.getContext("webgl2", {
     alpha: false, antialias: false, depth: false, preserveDrawingBuffer: true,
     powerPreference: "high-performance",
@@ -28,7 +28,7 @@ class Renderer {
 
   constructor(gl) {
     this.#gl = gl;
-    // With 8 bits a channel, hundreds of layers would round each other away.
+    // With 8 bits a channel, rounding would erase hundreds of layers.
     this.#target = gl.getExtension("EXT_color_buffer_float")
       || gl.getExtension("EXT_color_buffer_half_float") ? new Target(gl) : null;
     this.order = gl.createBuffer();
@@ -36,7 +36,7 @@ class Renderer {
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
   }
 
-  /** Takes another scene in place of the one before. */
+  /** Replaces the scene. */
   load({ count, degree, geometry, harmonics }) {
     const gl = this.#gl;
     this.#forget();
@@ -48,7 +48,7 @@ class Renderer {
     this.#count = 0;
   }
 
-  /** The indexes of the Gaussians that are drawn, the farthest first. */
+  /** Takes the indexes of the Gaussians to draw, farthest first. */
   sort(order) {
     const gl = this.#gl;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
@@ -56,12 +56,15 @@ class Renderer {
     this.#count = order.length;
   }
 
-  /** Whether it can show the scene at another exposure: it needs room for light above white. */
+  /** Whether exposure can change, which needs values above white. */
   get exposes() {
     return this.#target !== null;
   }
 
-  /** The scene from `pose`; intrinsics `k` of the canvas's size, `part` of its pixels a side, `ev` stops brighter. */
+  /**
+   * Draws the scene from `pose`, with intrinsics `k` of the canvas's size, at `part` of its pixels
+   * a side, `ev` stops brighter.
+   */
   draw(pose, k, part = 1, ev = 0) {
     const gl = this.#gl;
     const [width, height] = [k.width, k.height].map((side) => Math.max(1, Math.round(side * part)));
@@ -129,14 +132,14 @@ class Renderer {
     this.#scene = null;
   }
 
-  /** Gives the memory back. */
+  /** Frees the memory. */
   free() {
     this.#forget();
     this.#gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 }
 
-/** A row of texels for each Gaussian, several of them in a row of the texture. */
+/** A row of texels per Gaussian, several of these in a row of the texture. */
 function texture(gl, format, values, texels, count) {
   const widest = Math.min(WIDEST, gl.getParameter(gl.MAX_TEXTURE_SIZE));
   const inRow = Math.min(count, Math.floor(widest / texels));
@@ -164,7 +167,7 @@ function nearest(gl, filter) {
   gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_WRAP_T, gl.CLAMP_TO_EDGE);
 }
 
-/** Where half floats are blended. */
+/** The half-float target of blending. */
 class Target {
   constructor(gl) {
     this.gl = gl;
@@ -174,7 +177,7 @@ class Target {
     this.isWhole = false;
   }
 
-  /** Draws into it from now on, if the adapter can. */
+  /** Makes it the render target, if the adapter can. */
   bind(width, height) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.framebuffer);
@@ -212,7 +215,7 @@ class Program {
     });
   }
 
-  /** Draws with it from now on; where its uniforms are. */
+  /** Makes it the current program and returns the locations of its uniforms. */
   use() {
     this.gl.useProgram(this.linked);
     return this.places;

@@ -1,12 +1,13 @@
-// A scene in its worker: fetched, read, and sorted for one view after another.
+// A scene in its worker, which fetches and reads it, and sorts it for each view.
 
 import { NEAR } from "./gl.js";
 import { SceneError } from "./ply.js";
 
 /**
- * Fetches the scene at `url`, or where `isPoints` the sparse points of poses, to be drawn in `world`.
- * `progress(received, total)` in bytes, `total` may be `null`. Answers
- * `{ scene, sort, end }`: `sort(row)` promises the order for a third row of world to camera.
+ * Fetches the scene at `url`, or with `isPoints` the sparse points of poses, to be drawn in
+ * `world`. `progress(received, total)` is in bytes; `total` may be `null`. Returns
+ * `{ whole, sort, end }`: `whole` is a promise of the scene, `sort(row)` one of the order for a
+ * third row of world to camera.
  */
 export function loading({ url, isPoints, headers }, world, progress) {
   const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });

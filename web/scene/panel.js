@@ -1,11 +1,11 @@
-// The scene in 3D on a job's page: a poster until somebody wants to walk. Only then the rest of it,
-// and the scene, are loaded.
+// The scene in 3D on a job's page: a poster until it is opened. Only then the scene and the code
+// of the view are loaded.
 
 import { address, h, size } from "../lib/dom.js";
 
 /**
- * The part of a page for the scene of `job`: `{ root, update, leave }`. `headers` go with each
- * request, where no cookie does.
+ * The section of a page for the scene of `job`: `{ root, update, leave }`. `headers` go with each
+ * request if there is no cookie.
  */
 export function scenePanel(job, headers = {}) {
   const image = h("img", { alt: "", draggable: false });
@@ -65,7 +65,7 @@ export function scenePanel(job, headers = {}) {
   return {
     root,
     leave,
-    /** Of the name, cameras and files of the job; `best` is the round that is delivered. */
+    /** Takes the name, cameras and files of the job; `best` is the delivered round. */
     update(name, cameras, artifacts, best) {
       const scenes = scenesOf(job, artifacts, best);
       root.hidden = scenes.length === 0 || cameras.length === 0;
@@ -88,8 +88,8 @@ export function scenePanel(job, headers = {}) {
 }
 
 /**
- * `{ round, url, bytes, isDelivered, isPoints }` of every round whose scene is served, and before
- * them of the sparse points of the poses, as round 0.
+ * `{ round, url, bytes, isDelivered, isPoints }` of the sparse points of the poses, as round 0, and
+ * of every round whose scene is served.
  */
 function scenesOf(job, artifacts, best) {
   const scenes = new Map();
@@ -101,7 +101,7 @@ function scenesOf(job, artifacts, best) {
     const isDelivered = name === "scene.ply";
     const found = name.match(/^rounds\/(\d+)\/scene\.ply$/);
     const round = isDelivered ? best : found && Number(found[1]);
-    // The delivered scene is the copy of a round's.
+    // The delivered scene is a copy of one round's.
     if (!round || scenes.get(round)?.isDelivered) continue;
     scenes.set(round, { round, bytes, isDelivered, url: `/v1/jobs/${job}/artifacts/${name}` });
   }

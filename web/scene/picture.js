@@ -1,11 +1,11 @@
-// The view that is shown, as the server renders it.
+// The current view, rendered by the server.
 
 import { Refusal, h } from "../lib/dom.js";
 
-/** The server renders no larger pictures, px. */
+/** Longest side that the server renders, px. */
 const LONGEST = 2048;
 
-/** The body of `POST /v1/jobs/{id}/render` for world to camera with intrinsics `k`, `ev` stops brighter. */
+/** The body of `POST /v1/jobs/{id}/render`: world to camera, intrinsics `k`, stops brighter. */
 export function request(scene, matrix, k, ev = 0) {
   const scale = Math.min(1, LONGEST / Math.max(k.width, k.height));
   const side = (length) => Math.max(16, Math.round(length * scale));
@@ -21,7 +21,7 @@ export function request(scene, matrix, k, ev = 0) {
   };
 }
 
-/** Fetches the picture, a file `name`, and has the browser save it. */
+/** Fetches the picture and has the browser save it as `name`. */
 export async function savedPicture(job, name, scene, matrix, k, ev) {
   const response = await fetch(`/v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
@@ -30,6 +30,6 @@ export async function savedPicture(job, name, scene, matrix, k, ev) {
   if (!response.ok) throw new Refusal(response.status, await response.json().catch(() => null));
   const href = URL.createObjectURL(await response.blob());
   h("a", { href, download: name }).click();
-  // The browser has taken it by then.
+  // The browser has read it by then.
   setTimeout(() => URL.revokeObjectURL(href), 10_000);
 }

@@ -2,10 +2,10 @@
 
 import { AS_IT_IS, pointWithin } from "./world.js";
 
-/** A fault of a scene, as a sentence. */
+/** What is wrong with a scene, as a sentence. */
 export class SceneError extends Error {}
 
-/** The longest header that is read, bytes; ours have 1.5 kB. */
+/** Longest header accepted, bytes; ours have 1.5 kB. */
 const LONGEST_HEADER = 64 * 1024;
 const END = "end_header\n";
 const SIZES = {
@@ -16,16 +16,16 @@ const SIZES = {
 const LOG_SCALE = [-30, 20];
 const LOGIT = 80;
 const QUAT_GUARD = 1e-8;
-/** Floats a Gaussian in `geometry`: mean, opacity, the six of its covariance, padding. */
+/** Floats per Gaussian in `geometry`: mean, opacity, six of the covariance, padding. */
 export const GEOMETRY = 12;
 
-/** Floats a Gaussian in `harmonics`: R, G, B of each coefficient, filled up to whole texels. */
+/** Floats per Gaussian in `harmonics`: R, G, B of each coefficient, padded to whole texels. */
 export const harmonicsRow = (degree) => 4 * Math.ceil((3 * (degree + 1) ** 2) / 4);
 
 /**
- * The header at the beginning of `bytes`: `{ start, count, stride, degree, offsets, missing }`; `null` while
- * its end has not come. `missing` is what x y z lack, `offsets` are those of x y z, the logit, log-scales, quaternion and then
- * R, G, B of each coefficient.
+ * The header at the start of `bytes`: `{ start, count, stride, degree, offsets, missing }`; `null`
+ * until its end has arrived. `missing` is the offset to add to x y z; `offsets` are the positions
+ * of x y z, the logit, log-scales, quaternion and then R, G, B of each coefficient.
  */
 export function readHeader(bytes) {
   const text = new TextDecoder("latin1").decode(bytes.subarray(0, LONGEST_HEADER));
@@ -74,7 +74,7 @@ function layout(lines, start) {
   return { start, count, stride, degree, offsets, missing };
 }
 
-/** The harmonics are channel-major in the file; here each coefficient has its colours together. */
+/** The file's harmonics are channel-major; here the colours of each coefficient are adjacent. */
 function names(degree) {
   const higher = (degree + 1) ** 2 - 1;
   const number = (name, many) => Array.from({ length: many }, (_, n) => `${name}_${n}`);
@@ -85,7 +85,7 @@ function names(degree) {
 }
 
 /**
- * Reads a scene from a body, to be drawn in `world`; `progress(bytes)` is told how much of it has come.
+ * Reads a scene from a body, to be drawn in `world`; `progress(bytes)` takes the bytes received.
  * @param {ReadableStream<Uint8Array>} body
  * @param {(bytes: number) => void} progress
  * @param {{ offset: number[], scale: number }} world
@@ -138,8 +138,8 @@ function joined(a, b) {
 }
 
 /**
- * `{ count, degree, geometry, harmonics }` of the rows of a file, as the renderer's textures have
- * them. A Gaussian with numbers that are none is kept, without opacity.
+ * `{ count, degree, geometry, harmonics }` of the rows of a file, in the layout of the renderer's
+ * textures. A Gaussian with NaN is kept, without opacity.
  */
 export function unpack(rows, { count, stride, degree, offsets, missing }, world) {
   const view = new DataView(rows.buffer, rows.byteOffset, rows.byteLength);

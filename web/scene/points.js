@@ -1,17 +1,17 @@
-// The sparse points of poses as a scene: small round Gaussians.
+// The sparse points of poses as a scene of small round Gaussians.
 
 import { GEOMETRY, SceneError, harmonicsRow } from "./ply.js";
 import { AS_IT_IS, pointWithin } from "./world.js";
 
-/** Standard deviation of a point, as a share of how far the points spread. */
+/** Standard deviation of a point, as a share of the points' spread. */
 const SIZE = 0.008;
 const OPACITY = 0.95;
 /** Y_0^0, the constant harmonic. */
 const Y00 = 0.2820948;
 
 /**
- * `{ count, degree, geometry, harmonics, isGuessed }` of the points of poses.json, drawn in `world`. Where poses came
- * without points, those are guessed that a scene begins with.
+ * `{ count, degree, geometry, harmonics, isGuessed }` of the points of poses.json, drawn in
+ * `world`. For poses without points, these are the guessed points that start a scene.
  */
 export function pointsOf({ points }, world = AS_IT_IS) {
   if (!Array.isArray(points) || points.length === 0) {
@@ -29,7 +29,7 @@ export function pointsOf({ points }, world = AS_IT_IS) {
   return { count: points.length, degree: 0, geometry, harmonics, isGuessed };
 }
 
-/** Median distance from the median point: a few that lie far off do not count. */
+/** Median distance from the median point, which ignores a few outliers. */
 function spread(positions) {
   const middle = [0, 1, 2].map((k) => median(positions.map((one) => one[k])));
   const away = positions.map((one) => Math.hypot(...one.map((value, k) => value - middle[k])));

@@ -1,5 +1,5 @@
-// The formulas of shaders/ once more, for WebGL 2: a browser's test holds them against the server's
-// own pictures. One instance a Gaussian, a quad of four vertices around it.
+// The formulas of shaders/ for WebGL 2; a browser test compares them with the server's pictures.
+// One instance per Gaussian: a quad of four vertices around it.
 
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\n";
 
@@ -99,7 +99,7 @@ void main() {
   gl_Position = vec4(pixel / size * vec2(2.0, -2.0) + vec2(-1.0, 1.0), 0.0, 1.0);
 }`;
 
-/** From shaders/shared/raster.wgsl; premultiplied, over what lies behind. */
+/** From shaders/shared/raster.wgsl; premultiplied, blended over the background. */
 export const BLENDING = `${HEAD}
 in vec2 offset;
 flat in vec4 splat;

@@ -1,4 +1,4 @@
-// The order in which Gaussians are blended: from back to front.
+// Sorts Gaussians for blending, from back to front.
 
 import { GEOMETRY } from "./ply.js";
 
@@ -6,11 +6,10 @@ import { GEOMETRY } from "./ply.js";
 const DIGITS = 1 << 16;
 
 /**
- * Sorts the Gaussians of `geometry` for one view after another. The function that it returns takes the third
- * row of world to camera and the near plane, and answers the indexes of all that lie beyond it, the
- * farthest first. The bits of a positive float grow with it, so a counting sort over their lower
- * and then their upper half is exact; equal depths are in the order in which the server blends
- * them, the first of them in front.
+ * Sorts the Gaussians of `geometry` for each view. The returned function takes the third row of
+ * world to camera and the near plane, and returns the indexes of all beyond it, farthest first. The
+ * bits of a positive float grow with it, so a counting sort over their lower and then their upper
+ * half is exact. Equal depths are in the server's blending order, the first of them in front.
  */
 export function sorter(geometry) {
   const count = geometry.length / GEOMETRY;
@@ -40,7 +39,7 @@ export function sorter(geometry) {
   };
 }
 
-/** Counts become the places where each value begins. */
+/** Turns counts into the start of each value. */
 function starts(counts) {
   let sum = 0;
   for (let k = 0; k < DIGITS; k++) {

@@ -3,10 +3,10 @@
 import { h } from "../lib/dom.js";
 
 /**
- * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` or null where there is none,
- * `lens(degrees)` with null for the camera's own, `round(scene)`, `picture`, `close`; `stage` is what
- * fills the screen. Answers `{ root, at(index), isOn(), ev(), lens(degrees), speed(), scenes(list,
- * current), say(words) }`.
+ * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` (null if unsupported),
+ * `lens(degrees)` with null for the camera's own, `round(scene)`, `picture`, `close`; `stage` is
+ * the element for full screen. Returns `{ root, at(index), isOn(), ev(), lens(degrees), speed(),
+ * scenes(list, current), say(words) }`.
  */
 export function sceneTools(cameras, stage, does) {
   const press = (text, onclick, label = text) =>
@@ -22,7 +22,7 @@ export function sceneTools(cameras, stage, does) {
   const exposure = slider("Exposure", "exposure", { min: -3, max: 3, step: 0.25, first: 0, words: signed, changed: does.exposure });
   exposure.root.hidden = !does.exposure;
   const lens = slider("Field of view", "lens", { min: 15, max: 110, step: 1, first: 50, words: (degrees) => `${degrees}° view`, changed: does.lens });
-  // Of keys: fingers have their own.
+  // For keys; touch has its own speed.
   const speed = slider("Speed", "speed", { min: -3, max: 3, step: 1, first: 0, words: (power) => `${2 ** power}× speed`, changed: null });
   const rounds = roundSlider(does.round);
   const words = h("p", { class: "hint", role: "status" });
@@ -45,7 +45,7 @@ export function sceneTools(cameras, stage, does) {
     words);
   return {
     root,
-    /** One stands at a photograph's camera, or with -1 at none. */
+    /** The view is at a photograph's camera, or with -1 at none. */
     at(index) {
       if (index >= 0) last = index;
       choice.value = String(index);
@@ -53,12 +53,12 @@ export function sceneTools(cameras, stage, does) {
     isOn: () => lines.checked,
     /** Stops brighter than the scene. */
     ev: () => (does.exposure ? exposure.value() : 0),
-    /** The camera's own field of view, degrees; of the slider that changes it. */
+    /** Sets the slider to the camera's own field of view, degrees. */
     lens: (degrees) => lens.set(degrees),
-    /** Of walking, times the ordinary. */
+    /** Walking speed, as a factor. */
     speed: () => 2 ** speed.value(),
     scenes(list, current) {
-      // The server renders scenes; of points there is none. Their cameras are half of what they say.
+      // The server renders scenes, not points. The cameras are half of what the points show.
       picture.hidden = current.isPoints === true;
       if (current.isPoints && !wasShown) lines.checked = true;
       wasShown = true;
@@ -70,13 +70,13 @@ export function sceneTools(cameras, stage, does) {
 
 function wide(stage) {
   if (document.fullscreenElement) document.exitFullscreen();
-  // Refused in some frames and by some settings; the button then does nothing.
+  // Some frames and settings refuse it; the button then does nothing.
   else stage.requestFullscreen().catch(() => {});
 }
 
 /**
- * A slider with its value in words: `{ root, value(), set(value) }`; a double click is `first`
- * again. `changed(value)`, with null for that double click.
+ * A slider with its value as text: `{ root, value(), set(value) }`; a double click resets it to
+ * `first`. Calls `changed(value)`, with null for that double click.
  */
 function slider(name, style, { min, max, step, first, words, changed }) {
   const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), "aria-label": name });
@@ -95,7 +95,7 @@ function slider(name, style, { min, max, step, first, words, changed }) {
 
 const signed = (value) => `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;
 
-/** Which round's scene is shown; hidden where there is one. */
+/** Chooses the round of the scene; hidden if there is only one. */
 function roundSlider(chosen) {
   const input = h("input", { type: "range", min: "0", step: "1", "aria-label": "Round" });
   const label = h("span", {});

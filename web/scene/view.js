@@ -1,4 +1,4 @@
-// The scene itself, in 3D: a canvas, what moves its camera, and the buttons below.
+// The 3D view of the scene: a canvas, the controls of its camera, and the buttons below.
 
 import { api, count, h, size } from "../lib/dom.js";
 import { angleOf, between, fitted, matrixOf, neared, poseOf, seenAt, surroundingsOf } from "./camera.js";
@@ -11,24 +11,24 @@ import { sceneTools } from "./tools.js";
 import { savedPicture } from "./picture.js";
 import { cameraWithin, matrixInWorld, worldOf } from "./world.js";
 
-/** Pixels of the canvas a CSS pixel, at most: more cost more than one sees. */
+/** Most canvas pixels per CSS pixel; more cost time without visible gain. */
 const FINEST = 2;
-/** From one photograph to the next, ms. */
+/** Flight from one photograph to the next, ms. */
 const FLIGHT = 450;
-/** Frames slower than this while one moves are drawn coarser, ms. */
+/** Slower frames during movement are drawn coarser, ms. */
 const SLOW = 70;
 const COARSE = 0.5;
-/** So long after the last movement the picture is drawn in full, ms. */
+/** Delay from the last movement to a full-resolution frame, ms. */
 const REST = 180;
-/** A pause between frames that says nothing about their speed, ms. */
+/** A longer pause between frames does not measure their speed, ms. */
 const PAUSE = 400;
-/** A key that is held leads no farther in one frame, ms. */
+/** Longest movement of a held key per frame, ms. */
 const LONGEST_STEP = 100;
-/** How far back one begins before points, of the way to the middle. */
+/** Starting distance before points, times the distance to the middle. */
 const BACK = 1.7;
 const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
   + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape returns the wheel and the keys to the page.";
-/** Where a thumb is: above the lower edge of the picture. */
+/** Shown for touch, above the lower edge of the picture. */
 const UNTOUCHED = "Tap to move through the scene";
 const FINGERS = "One finger turns, two pan and zoom. Tap beside the picture to scroll the page.";
 /** A degree, radians. */
@@ -39,9 +39,10 @@ const LOST = "The graphics adapter dropped the picture, as can happen when it is
   + "machine was asleep. Open the scene again.";
 
 /**
- * Opens the scene of a job in `place`. `name` is the job's, `scenes` are `{ round, url, isDelivered }`, `first` the one
- * to begin with and `start` the name of the camera. `headers` go with each request. `ended(words)` is called when it closes by
- * itself, with the reason, or is closed. Throws a `SceneError` where the browser cannot.
+ * Opens the scene of a job in `place`. `name` is the job's, `scenes` are
+ * `{ round, url, isDelivered }`, `first` is the initial one and `start` the name of the initial
+ * camera. `headers` go with each request. `ended(words)` is called when the view closes, with the
+ * reason if it closes by itself. Throws a `SceneError` if the browser cannot draw it.
  */
 export async function openScene(place, { job, headers, name, scenes, first, start, ended }) {
   const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`, { headers });
@@ -51,8 +52,8 @@ export async function openScene(place, { job, headers, name, scenes, first, star
   return view;
 }
 
-/** The content of a scene, in a sentence. */
-function told({ isPoints }, content) {
+/** Describes the content of a scene in a sentence. */
+function contentOf({ isPoints }, content) {
   if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
   const points = count(content.count, "sparse point");
   return content.isGuessed ? `${points}, estimated because the poses came without any.`
@@ -116,7 +117,7 @@ class View {
     this.start = start;
     this.#look(start);
     const pose = poseOf(this.k, this.surroundings);
-    // Points are few: one sees them best from behind the photographers, with their cameras.
+    // The few points are best seen from behind the photographers, together with the cameras.
     if (scene.isPoints) this.#stand(neared(pose, this.surroundings, BACK), -1);
     else this.#stand(pose, start);
     this.resizes.observe(this.frame);
@@ -124,7 +125,7 @@ class View {
     this.frame.focus({ preventScroll: true });
   }
 
-  /** Takes note of the scenes that there are by now. */
+  /** Updates the list of scenes. */
   update(scenes) {
     this.scenes = scenes;
     if (this.scene) this.tools.scenes(scenes, this.scene);
@@ -149,7 +150,7 @@ class View {
       [this.#sorted, this.#isSorting] = [row.join(), false];
       this.scene = scene;
       this.tools.scenes(this.scenes, scene);
-      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? "" : KEYS} ${told(scene, content)}`.trim());
+      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? "" : KEYS} ${contentOf(scene, content)}`.trim());
       this.veil.textContent = "";
       this.wake();
     } catch (error) {
@@ -177,7 +178,7 @@ class View {
     else this.veil.textContent = words;
   }
 
-  /** Goes to a photograph's camera. */
+  /** Flies to a photograph's camera. */
   jump(index) {
     if (index < 0) return;
     const to = poseOf(this.cameras[index], this.surroundings);
@@ -188,14 +189,14 @@ class View {
     this.#stand(isStill ? to : this.pose, index);
   }
 
-  /** Through the lens of a photograph's camera. */
+  /** Uses the lens of a photograph's camera. */
   #look(index) {
     this.k = this.cameras[index];
     this.lens = angleOf(this.k);
     this.tools.lens(Math.round(this.lens / DEGREE));
   }
 
-  /** Through a lens of so many degrees, or with null the camera's own again. */
+  /** Uses a field of view in degrees, or with null the camera's own. */
   #see(degrees) {
     this.lens = degrees === null ? angleOf(this.k) : degrees * DEGREE;
     this.tools.lens(Math.round(this.lens / DEGREE));
@@ -205,7 +206,7 @@ class View {
 
   speed = () => this.tools.speed();
 
-  /** Stands somewhere else, at the camera `chosen` or, with -1, at none. */
+  /** Moves to a pose, at the camera `chosen` or, with -1, at none. */
   #stand(pose, chosen) {
     this.pose = pose;
     this.#chosen = chosen;
@@ -213,14 +214,14 @@ class View {
     this.wake();
   }
 
-  /** For the controls: one has moved by hand. */
+  /** For the controls: the user has moved. */
   moved(pose) {
     this.#flight = null;
     this.thumb.classList.add("known");
     this.#stand(pose, -1);
   }
 
-  /** For the controls: a click on a camera's lines goes there. */
+  /** For the controls: a click on a camera's lines flies there. */
   clicked(x, y) {
     const scale = this.canvas.width / this.frame.clientWidth;
     /** @type {[number, number]} */
@@ -238,7 +239,7 @@ class View {
     if (this.canvas.width === width && this.canvas.height === height && this.shown) return;
     for (const canvas of [this.canvas, this.lines]) Object.assign(canvas, { width, height });
     this.#fit();
-    // At once: a canvas of another size is empty.
+    // Draws at once, because resizing clears a canvas.
     this.#draw(1);
     this.wake();
   }
@@ -247,7 +248,7 @@ class View {
     this.shown = fitted(seenAt(this.k, this.lens), this.canvas.width, this.canvas.height);
   }
 
-  /** Draws soon. Nothing is drawn while nothing changes. */
+  /** Schedules a frame. Nothing is drawn while nothing changes. */
   wake() {
     if (this.#isGone || this.#asked) return;
     this.#busy(true);
@@ -293,7 +294,7 @@ class View {
     if (!this.lines.hidden) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
   }
 
-  /** The order of blending for where one stands; one request at a time. */
+  /** Requests the blending order for the current pose, one request at a time. */
   #sort() {
     const row = matrixOf(this.pose)[2];
     if (!this.#source || this.#isSorting || row.join() === this.#sorted) return;
@@ -311,14 +312,14 @@ class View {
     this.frame.setAttribute("aria-busy", String(isBusy));
   }
 
-  /** A picture's file: job, view and round. */
+  /** The file name of a picture: job, view and round. */
   #named() {
     const view = this.#chosen >= 0 ? this.cameras[this.#chosen].name : "free view";
     const name = `${this.name} ${view} round ${this.scene.round}`;
     return `${name.replace(/[^\p{L}\p{N}_.]+/gu, "-").replace(/^[-.]+/, "")}.png`;
   }
 
-  /** The server renders this very view. */
+  /** Saves this view as rendered by the server. */
   async save() {
     try {
       await savedPicture(this.job, this.#named(), this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev());
@@ -327,7 +328,7 @@ class View {
     }
   }
 
-  /** Gives everything back. */
+  /** Releases everything. */
   leave() {
     this.#isGone = true;
     cancelAnimationFrame(this.#asked);

@@ -1,4 +1,4 @@
-// Beside the page, so that it stays quick: fetches and reads a scene, and sorts it for each view.
+// A worker, to keep the page responsive: fetches and reads a scene, and sorts it for each view.
 
 import { SceneError, readScene } from "./ply.js";
 import { pointsOf } from "./points.js";
@@ -15,7 +15,7 @@ async function load({ url, isPoints, headers, world }) {
   const total = Number(response.headers.get("content-length")) || null;
   const scene = isPoints ? pointsOf(await response.json(), world)
     : await readScene(response.body, (received) => postMessage({ received, total }), world);
-  // The page gets the arrays themselves; what is sorted here needs its own.
+  // The arrays are transferred to the page, so sorting needs a copy.
   sort = sorter(scene.geometry.slice());
   postMessage({ scene }, { transfer: [scene.geometry.buffer, scene.harmonics.buffer] });
 }

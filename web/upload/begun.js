@@ -1,12 +1,12 @@
-// Which uploads this browser has begun: they go on after a reload, when the same files are chosen.
+// Uploads that this browser has begun; they resume after a reload if the same files are chosen.
 
 const KEY = "fled uploads";
-/** The server keeps them for so long, ms. */
+/** How long the server keeps them, ms. */
 const KEPT = 24 * 3600 * 1000;
 
 const mark = (path, file) => `${path}\n${file.size}\n${file.lastModified}`;
 
-/** `{ mark: { id, at } }`. A browser may refuse to keep anything; then nothing goes on. */
+/** `{ mark: { id, at } }`. If the browser refuses storage, uploads do not resume. */
 function read() {
   try {
     const all = Object.entries(JSON.parse(localStorage.getItem(KEY) ?? "{}"));
@@ -19,16 +19,16 @@ function read() {
 function write(all) {
   try {
     localStorage.setItem(KEY, JSON.stringify(all));
-  } catch { /* Then a reload begins anew. */ }
+  } catch { /* Uploads restart after a reload. */ }
 }
 
 export const begun = {
-  /** The id of the upload of this file, where one was begun. */
+  /** The id of a begun upload of this file, if any. */
   find: (path, file) => read()[mark(path, file)]?.id ?? null,
   keep(path, file, id) {
     write({ ...read(), [mark(path, file)]: { id, at: Date.now() } });
   },
-  /** Of these `[path, file]` pairs a job was made, or they are to be sent anew. */
+  /** Forgets these `[path, file]` pairs, because a job has them or they must be sent again. */
   forget(files) {
     const all = read();
     for (const [path, file] of files) delete all[mark(path, file)];

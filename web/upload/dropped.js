@@ -1,6 +1,6 @@
-// Files that are dropped on the page, those of folders too.
+// Files dropped on the page, including those in folders.
 
-/** Takes files that are dropped anywhere on the page; returns the end of it. */
+/** Takes files dropped anywhere on the page; returns a function that stops it. */
 export function takeDrops(box, take) {
   const over = (event) => {
     if (!event.dataTransfer?.types.includes("Files")) return;
@@ -8,7 +8,7 @@ export function takeDrops(box, take) {
     box.classList.add("over");
   };
   const leave = (event) => {
-    // Only when the pointer leaves the window: it also leaves every element on its way.
+    // Only if the pointer leaves the window, as it also leaves every element on its way.
     if (!event.relatedTarget) box.classList.remove("over");
   };
   const drop = async (event) => {
@@ -17,13 +17,13 @@ export function takeDrops(box, take) {
     box.classList.remove("over");
     take(await filesOf(event.dataTransfer));
   };
-  // Before the listeners of the window itself, which refuse what nobody takes.
+  // Runs before the window's own listeners, which refuse unhandled drops.
   const listeners = Object.entries({ dragover: over, dragleave: leave, drop });
   for (const [name, listener] of listeners) document.addEventListener(name, listener);
   return () => { for (const [name, listener] of listeners) document.removeEventListener(name, listener); };
 }
 
-/** `[path, file]` of each. The list of items is gone after the first pause: it is read before. */
+/** `[path, file]` of each. The list of items is read before the first await, which clears it. */
 async function filesOf(transfer) {
   const items = [...transfer.items].filter((item) => item.kind === "file");
   const found = items.map((item) => [item.webkitGetAsEntry?.(), item.getAsFile()]);
@@ -36,7 +36,7 @@ async function inFolder(folder) {
   const reader = folder.createReader();
   const entries = [];
   for (;;) {
-    // A reader answers about a hundred at a time, and none at the end.
+    // A reader returns about a hundred at a time, and none at the end.
     const some = await new Promise((resolve, reject) => reader.readEntries(resolve, reject));
     if (some.length === 0) break;
     entries.push(...some);

@@ -1,16 +1,16 @@
-// A chosen file as the browser sees it, before it is sent.
+// The browser's check of a chosen file before it is sent.
 
 import { h } from "../lib/dom.js";
 
 /** The server reads both; the browser shows the first. */
 const SHOWN = /\.(jpe?g|jfif|mpo|png|webp)$/i;
 const READ = /\.(tiff?|heic|heif|hif|zip|mp4|mov|m4v)$/i;
-/** Of a photograph in which something can be found again, longest side, px. */
+/** Shortest acceptable longest side of a photograph, px. */
 const LEAST = 64;
 /** Files beside photographs: poses and models. */
 const BESIDE = /\.(json|npy|txt|bin|csv)$/i;
 
-/** `{ picture, fault }` of a file: a thumbnail, and a place for what is wrong with it. */
+/** `{ picture, fault }` of a file: a thumbnail, and an element for its fault. */
 export function looked(path, file) {
   const picture = h("span", { class: "thumb" });
   const fault = h("span", { class: "bad" });

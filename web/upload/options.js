@@ -4,17 +4,17 @@ import { api, h, plain, prose } from "../lib/dom.js";
 import { lacksGpu } from "../lib/machine.js";
 import { optionName } from "../lib/words.js";
 
-/** By what they are for; those that are in none are for experts, and folded away. */
+/** Options by purpose; the rest are for experts and folded away. */
 const GROUPS = {
   Result: ["size", "rounds", "target", "held_out"],
   Speed: ["steps", "cap"],
   Poses: ["pose_source", "refine_poses", "late_views"],
 };
-/** They compare methods or choose among machines: of the API and the command line alone. */
+/** Options that compare methods or choose machines; only for the API and the command line. */
 const UNASKED = ["adapter", "lut_scope", "enhance", "noise", "schedule", "key_points"];
 const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
-/** After an answer that did not come. */
+/** Delay after a failed request. */
 const AGAIN_MS = 3000;
 
 let schema = null;
@@ -26,8 +26,8 @@ let forms = 0;
 
 /**
  * Preset and options: `{ preset, root, chosen(), check(), fault(error), fill(preset, options) }`.
- * `chosen` has only what differs from the preset; `check` shows at each field what is wrong with it
- * and says whether nothing is; `fault` shows a refusal at its field and says whether it could.
+ * `chosen` has only what differs from the preset; `check` shows the error of each field and returns
+ * whether there is none; `fault` shows a refusal at its field and returns whether it could.
  */
 export function optionsForm() {
   const id = `o${++forms}`;
@@ -76,7 +76,7 @@ export function optionsForm() {
   }
   const built = build();
 
-  /** Every field at the preset's value, but for `options`. */
+  /** Sets every field to the preset's value, except those in `options`. */
   function fillIn(options) {
     const usual = presets[preset.value];
     for (const one of fields) one.set(usual[one.key], options[one.key]);
@@ -124,7 +124,7 @@ export function optionsForm() {
   };
 }
 
-/** A property with what it refers to; a reference may stand beside words of its own. */
+/** A property with its references resolved; a reference may have its own description beside it. */
 function resolve(known, property) {
   const reference = property.$ref ?? property.allOf?.[0]?.$ref;
   if (!reference) return property;
@@ -132,7 +132,7 @@ function resolve(known, property) {
   return { ...target, ...property };
 }
 
-/** The words that an option may have, with what each means; `null` where it has none. */
+/** The words an option accepts, each with its meaning; `null` if it has none. */
 function choices(property) {
   if (property.enum) return property.enum.map((value) => [value, ""]);
   const words = property.oneOf?.flatMap((one) => (one.const !== undefined
@@ -167,11 +167,11 @@ function field(form, key, property) {
   function value() {
     if (property.type === "boolean") return input.checked;
     const text = input.value.trim();
-    // An empty field is the preset's value; what is no number goes as it is, and the server says so.
+    // An empty field means the preset's value; a non-number is sent as it is, and refused.
     if (text === "") return usual;
     return (number || orWord) && Number.isFinite(Number(text)) ? Number(text) : text;
   }
-  /** Its fault by the schema, in a sentence. */
+  /** Its violation of the schema, in a sentence. */
   function wrong() {
     if (!(number || orWord) || (input.value.trim() === "" && !input.validity.badInput)) return "";
     if (word && input.value.trim() === word) return "";
@@ -186,7 +186,7 @@ function field(form, key, property) {
   function mark() {
     root.classList.toggle("changed", differs());
     const chosen = words?.find(([word]) => word === input.value)?.[1];
-    // The rest is for those who know the paper.
+    // The rest is for readers of the paper.
     const [about] = (chosen ?? "").split("Differs from the paper");
     meaning.replaceChildren(...(about ? [h("b", {}, plain(input.value)), ": ", ...prose(about)] : []));
   }
@@ -200,7 +200,7 @@ function field(form, key, property) {
   return {
     key, root, value, differs, say, wrong,
     focus: () => input.focus(),
-    /** `now` over the preset's value, where there is one. */
+    /** Sets `now`, if given, else the preset's value. */
     set(presets, now) {
       usual = presets;
       if (property.type === "boolean") input.checked = now ?? usual;

@@ -1,24 +1,24 @@
-// Files on their way to the server, in pieces that go on where they broke off: tus 1.0.
+// Uploads files to the server in resumable pieces: tus 1.0.
 
 import { Refusal } from "../lib/dom.js";
 import { begun } from "./begun.js";
 
 const UPLOADS = "/v1/uploads";
 const TYPE = "application/offset+octet-stream";
-/** Bytes of a piece: what is lost at most when the connection is. */
+/** Bytes per piece, the most that a lost connection costs. */
 const PIECE = 8 << 20;
-/** Files that are sent at a time. */
+/** Files sent in parallel. */
 const AT_ONCE = 3;
-/** After so many seconds it is tried again, the longer the more often it failed. */
+/** Seconds before each retry, growing with the number of failures. */
 const WAITS = [1, 2, 5, 10, 20, 30];
-/** Answers after which it goes better later: somebody else has the upload, too many requests, a proxy. */
+/** Statuses worth a retry: the upload is locked, too many requests, a proxy's error. */
 const LATER = [408, 409, 423, 429, 460, 502, 503, 504];
 
 /**
- * Sends `[path, file]` pairs. `done` has their ids; `tell({ sent, total, files, waits })` hears of
- * every step, in bytes and files; `waits` says why nothing goes on, where it does not.
+ * Sends `[path, file]` pairs. `done` is a promise of their ids; `report({ sent, total, files,
+ * waits })` is called on every step, in bytes and files; `waits` says why the upload is stalled.
  */
-export function sending(files, tell) {
+export function sending(files, report) {
   const total = files.reduce((sum, [, file]) => sum + file.size, 0);
   const sent = new Map();
   const requests = new Set();
@@ -26,14 +26,14 @@ export function sending(files, tell) {
   const reasons = new Set();
   let [stopped, finished] = [false, 0];
 
-  function told() {
+  function reportProgress() {
     if (stopped) return;
     const bytes = [...sent.values()].reduce((sum, part) => sum + part, 0);
-    tell({ sent: bytes, total, files: finished, waits: [...reasons].join(", ") });
+    report({ sent: bytes, total, files: finished, waits: [...reasons].join(", ") });
   }
 
   /**
-   * One request; rejects with `null` when there was no answer.
+   * Sends one request; rejects with `null` if there is no answer.
    * @param {Blob | null} body
    * @param {(bytes: number) => void} onBytes
    * @returns {Promise<XMLHttpRequest>}
@@ -58,17 +58,17 @@ export function sending(files, tell) {
 
   const passes = (fault) => fault === null || LATER.includes(fault.status);
 
-  /** Waits until it may go better, after it failed so often. */
+  /** Waits before a retry, by the number of failures. */
   async function waitOut(fault, failures) {
     if (stopped) return;
     const why = fault === null ? "Connection lost" : "Server busy";
     reasons.add(why);
-    told();
+    reportProgress();
     await sleep(1000 * (fault?.wait ?? WAITS[Math.min(failures, WAITS.length - 1)]));
     reasons.delete(why);
   }
 
-  /** Does `step` until it is answered. */
+  /** Repeats `step` until it is answered. */
   async function insist(step) {
     for (let failures = 0; ; failures += 1) {
       if (stopped) throw new Error("The upload was stopped.");
@@ -81,7 +81,7 @@ export function sending(files, tell) {
     }
   }
 
-  /** Ends early when the upload is stopped, or when the browser finds a connection. */
+  /** Sleeps; ends early when the upload is stopped or the browser is back online. */
   function sleep(ms) {
     return new Promise((resolve) => {
       const wake = () => { clearTimeout(timer); sleepers.delete(wake); resolve(); };
@@ -92,7 +92,7 @@ export function sending(files, tell) {
   const wakeAll = () => { for (const wake of [...sleepers]) wake(); };
 
   async function sendFile([path, file]) {
-    const at = (bytes) => { sent.set(path, bytes); told(); };
+    const at = (bytes) => { sent.set(path, bytes); reportProgress(); };
     let id = begun.find(path, file);
     let offset = id ? await reached(id, file) : null;
     let failures = 0;
@@ -111,12 +111,12 @@ export function sending(files, tell) {
         if (!passes(fault) && fault.status !== 404) throw fault;
         await waitOut(fault, failures);
         failures += 1;
-        // A part of the piece may have come.
+        // The server may have received part of the piece.
         offset = await reached(id, file);
       }
     }
     finished += 1;
-    told();
+    reportProgress();
     return id;
   }
 
@@ -127,7 +127,7 @@ export function sending(files, tell) {
     return answer.getResponseHeader("Location").split("/").pop();
   }
 
-  /** How much of a file has come; `null` where its upload is gone. */
+  /** The bytes received of a file; `null` if its upload is gone. */
   async function reached(id, file) {
     try {
       const answer = await insist(() => ask("HEAD", `${UPLOADS}/${id}`, { "Tus-Resumable": "1.0.0" }));
@@ -139,7 +139,7 @@ export function sending(files, tell) {
     }
   }
 
-  /** Sends one piece; where the file is then. */
+  /** Sends one piece; returns the file's new offset. */
   async function piece(id, file, offset, at) {
     const body = file.slice(offset, offset + PIECE);
     const headers = { "Tus-Resumable": "1.0.0", "Upload-Offset": String(offset), "Content-Type": TYPE };
@@ -177,12 +177,12 @@ export function sending(files, tell) {
   return { done: all().finally(() => removeEventListener("online", wakeAll)), stop };
 }
 
-/** The refusal in an answer. */
+/** The refusal in a response. */
 function refusal(request) {
   let problem = null;
   try {
     problem = JSON.parse(request.responseText);
-  } catch { /* A proxy's words are no problem document. */ }
+  } catch { /* A proxy's answer is not a problem document. */ }
   const fault = new Refusal(request.status, problem);
   const wait = Number(request.getResponseHeader("Retry-After"));
   if (wait > 0) fault.wait = wait;

@@ -10,14 +10,14 @@ import { seconds } from "../lib/state.js";
 
 /** Rejected files that a refused upload names. */
 const NAMED = 8;
-/** Finished jobs that tell how long the next one takes. */
+/** Number of finished jobs used to estimate the next one's time. */
 const RECENT = 5;
-/** Before, a rate says nothing, seconds. */
+/** Seconds before a rate is shown. */
 const RATE_AFTER = 2;
 
-/** `{ root, leave, known(jobs) }`: the form tells how long such jobs took lately. */
+/** `{ root, leave, known(jobs) }`: the form shows how long such jobs took recently. */
 export function startForm() {
-  // The list below shows the chosen files; the browser's own words would say that there are none.
+  // The list below shows the chosen files; the browser's own text would claim there are none.
   const files = h("input", { type: "file", class: "heard", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
   const folder = h("input", { type: "file", class: "heard", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
@@ -36,7 +36,7 @@ export function startForm() {
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
       problem.textContent = chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
-      // The list below holds them now; a file that is removed there can be chosen again.
+      // The list below holds the files now; a file removed there can be chosen again.
       input.value = "";
     });
   }
@@ -52,7 +52,7 @@ export function startForm() {
     problem.textContent = "";
     const isEmpty = chosen.files().length === 0;
     if (isEmpty) problem.textContent = "Choose photographs, a ZIP file, a video or a folder first.";
-    // Everything that is wrong is said at once.
+    // All errors are shown at once.
     if (!options.check() || isEmpty) return;
     button.disabled = true;
     isCancelled = false;
@@ -77,7 +77,7 @@ export function startForm() {
     button.disabled = false;
   }
 
-  /** A job of photographs that the server makes up. */
+  /** Starts a job of synthetic photographs made by the server. */
   async function sample() {
     problem.textContent = "";
     if (!options.check()) return;
@@ -97,7 +97,7 @@ export function startForm() {
     button.disabled = false;
   }
 
-  /** The server keeps the pieces it has, and the upload goes on when the same files are chosen. */
+  /** The server keeps its pieces; the upload resumes when the same files are chosen. */
   function leave() {
     gone = true;
     run?.stop();
@@ -116,7 +116,7 @@ export function startForm() {
   return {
     root: h("section", {}, h("h2", {}, "New job"), form),
     leave,
-    /** Of the jobs of the server, the newest first. */
+    /** Takes the server's jobs, newest first. */
     known(jobs) {
       finished = jobs.filter((job) => job.state === "succeeded");
       tellTimes();
@@ -124,7 +124,7 @@ export function startForm() {
   };
 }
 
-/** The files to send, by path; each can be removed again. */
+/** The files to send, by path; each can be removed. */
 function chosenFiles() {
   const held = new Map();
   const words = h("span", { role: "status" });
@@ -132,7 +132,7 @@ function chosenFiles() {
   const all = h("button", { type: "button", onclick: () => { held.clear(); draw(); } }, "Remove all");
   const root = h("div", { class: "picked", hidden: true }, h("div", { class: "row" }, words, all), list);
 
-  /** Rows stay as they are: their pictures are made once. */
+  /** Rows are kept, so that their pictures are made once. */
   const rows = new Map();
   function line(path, file) {
     const { picture, fault } = looked(path, file);
@@ -153,7 +153,7 @@ function chosenFiles() {
     const at = [...held.keys()].indexOf(path);
     held.delete(path);
     draw();
-    // The next one is in reach of the keyboard.
+    // Focuses the next button, for keyboard users.
     const buttons = list.querySelectorAll("button");
     buttons[Math.min(at, buttons.length - 1)]?.focus();
   }
@@ -161,12 +161,15 @@ function chosenFiles() {
   return {
     root,
     files: () => [...held],
-    /** Returns what is wrong: of two files of one name the first stays, and nothing tells poses which is which. */
+    /**
+     * Returns the problem, if any: of two files of one name only the first is kept, as poses could
+     * not distinguish them.
+     */
     add(files) {
       const other = (a, b) => a && (a.size !== b.size || a.lastModified !== b.lastModified);
       const twice = [];
       for (const [path, file] of files) {
-        // Hidden files are what systems leave in folders.
+        // Hidden files are left by operating systems.
         if (path.split("/").some((part) => part.startsWith("."))) continue;
         if (other(held.get(path), file)) twice.push(path);
         else held.set(path, file);
@@ -178,7 +181,7 @@ function chosenFiles() {
   };
 }
 
-/** Sends the files, then asks for the job of them; `show(line, isSending)` hears how it goes. */
+/** Sends the files, then requests their job; reports progress to `show(line, isSending)`. */
 function upload(files, fields, show) {
   const began = performance.now();
   let before = null;
@@ -204,7 +207,7 @@ function upload(files, fields, show) {
       begun.forget(files);
       return made;
     } catch (error) {
-      // Uploads that the server has lost are sent anew the next time.
+      // Uploads that the server has lost are sent again the next time.
       if (error.status === 404) begun.forget(files);
       throw withRejected(error);
     }
@@ -212,7 +215,7 @@ function upload(files, fields, show) {
   return { job: job(), run };
 }
 
-/** Once more, and again, where the server did not answer: the key makes it one request. */
+/** Repeats a request while the server does not answer; the key makes it a single one. */
 async function again(ask) {
   for (const seconds of [1, 2, 5, 10]) {
     try {

@@ -23,7 +23,7 @@ impl Sort {
                 self.pairs.push(u64::from(key) << 32 | index as u64);
             }
         }
-        // Numbers above 0 have the order of their bits, of which scenes share the first.
+        // Numbers above 0 sort like their bits, the first of which are the same within a scene.
         let mut greatest = 0;
         for pair in &mut self.pairs {
             *pair -= u64::from(least) << 32;

@@ -58,7 +58,7 @@ impl SlotSums {
                 let mut pixels = Upstream::new(simd, image, tile);
                 backward(simd, tile, blended, &projection.splats, rows, &mut pixels);
             });
-            // Those behind all that was seen have no effect.
+            // Splats behind the last visible one have no effect.
             for entry in entries {
                 rows[entry.slot].iter().for_each(|sum| sum.store(0, Relaxed));
             }

@@ -1,4 +1,4 @@
-//! Alpha of a splat over the rows of a tile: what both passes share, so that they take the same
+//! Alpha of a splat over the rows of a tile, shared by both passes, so that they take the same
 //! decisions.
 
 use std::ops::Range;
@@ -65,14 +65,14 @@ impl<S: Simd> Brush<S> {
         exp2(self.cross.mul_add(splat(simd, dy), fixed))
     }
 
-    /// Within its bounds; 0 where it does not count.
+    /// Within its bounds; 0 where it has no effect.
     #[inline(always)]
     pub(super) fn alpha(&self, raw: F<S>) -> F<S> {
         raw.simd_ge(ALPHA_CUT).select(raw.min(self.most), splat(raw.witness(), 0.0))
     }
 }
 
-/// Where alpha is held and has no derivative.
+/// Whether alpha is clamped and has no derivative.
 #[inline(always)]
 pub(super) fn is_held<S: Simd>(raw: F<S>) -> M<S> {
     raw.simd_ge(ALPHA_MAX)

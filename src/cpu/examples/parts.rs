@@ -2,8 +2,8 @@
 //! flat and long ones, that touch about 3.1 tiles each.
 //!
 //! `cargo run --release -p fled-cpu --example parts -- 560 320 30000`, with `RAYON_NUM_THREADS` for
-//! the number of threads. Times are those of all threads together. With a last argument `field`,
-//! the noise field alone.
+//! the number of threads. Times are summed over all threads. With a last argument `field`, it times
+//! only the noise field.
 
 use std::time::Instant;
 
@@ -73,7 +73,7 @@ fn squares() -> Response {
     Response::new(&std::array::from_fn(|n| (n as f32 / (KNOTS - 1) as f32).powi(2)))
 }
 
-/// Seconds of computing by all threads of this process, which other processes do not disturb.
+/// CPU seconds of all threads of this process, which other processes do not affect.
 fn computed() -> f64 {
     let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     let times = tasks.filter_map(|task| {

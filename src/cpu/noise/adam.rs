@@ -1,4 +1,4 @@
-//! A step of Adam; the meaning is that of shaders/noise/adam.wgsl.
+//! A step of Adam, equivalent to shaders/noise/adam.wgsl.
 
 use fearless_simd::prelude::*;
 

@@ -1,4 +1,4 @@
-//! A few pixels of a row on their way through the network and back.
+//! Forward and backward passes of the network for a few pixels of a row.
 
 use fearless_simd::prelude::*;
 
@@ -13,7 +13,7 @@ use crate::simd::{F, LANES, Lanes, load, load_some, sigmoid, splat, store_some, 
 /// Pixels of a block. Its activations and the weights lie in the second cache.
 pub(super) const PIXELS: usize = 64;
 
-/// Where a block lies: `count` pixels of row `y` from `x`.
+/// Position of a block: `count` pixels of row `y` from `x`.
 #[derive(Clone, Copy)]
 pub(super) struct Place {
     pub(super) x: usize,

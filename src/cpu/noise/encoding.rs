@@ -18,7 +18,7 @@ pub(super) const DIRECTION: usize = 3 + 6 * DIRECTION_OCTAVES;
 /// The third coordinate of every position.
 const DEPTH: f32 = 32.0 / 63.0 - 1.0;
 
-/// What f32 leaves out of a quarter turn.
+/// The part of a quarter turn that f32 leaves out.
 const QUARTER_REST: f32 = -4.371_139e-8;
 
 /// Sine and cosine of |x| up to 600, absolute errors below 1e-7.

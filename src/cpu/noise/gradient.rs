@@ -1,7 +1,7 @@
 //! Derivatives by the parameters.
 //!
-//! Strips of the image, a block wide and a fixed share of the rows high, are tasks with sums of
-//! their own, which are added up in the order of the strips: the bits do not depend on threads.
+//! Strips of the image, a block wide and a fixed share of the rows high, are tasks with separate
+//! sums, which are added in the order of the strips, so the bits do not depend on threads.
 
 use std::ops::Range;
 
@@ -17,9 +17,9 @@ use super::product::{PANELS, Row, WIDTH, Weights, ZERO, numbers};
 use crate::View;
 use crate::simd::{LANES, Lanes, load, sum, vectorised};
 
-/// Strips of an image, about: each has 300 KiB of sums.
+/// Approximate number of strips of an image; each has 300 KiB of sums.
 const STRIPS: usize = 64;
-/// Parameters of a task that adds up.
+/// Parameters per task of the addition.
 const ADDED: usize = 4096;
 
 /// The sums of a strip.

@@ -1,4 +1,4 @@
-//! The network's parameters, in the layout of the core's `Network`, and as the products take them.
+//! The network's parameters, in the layout of the core's `Network`, and in that of the products.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use crate::simd::{LANES, load, splat};
 
 /// Layers between the first and the colour.
 pub(super) const MIDDLE: usize = 3;
-/// Numbers that a colour takes: three, padded.
+/// Numbers of a colour: three, padded.
 const COLOUR: usize = 4;
 /// Rows of the first layer's weights: 63, padded.
 const FIRST_ROWS: usize = (3 * COORDINATE).next_multiple_of(4);
@@ -23,7 +23,7 @@ const COLOUR_BEGIN: usize = FIRST_LENGTH + MIDDLE * MIDDLE_LENGTH;
 /// Number of parameters, with those that pad a row or a column with zeros.
 pub const PARAMETERS: usize = COLOUR_BEGIN + (COLOUR_ROWS + 1) * COLOUR;
 
-/// Where the weights of an input of the first layer stand: number `n` of coordinate `axis`.
+/// Position of the weights of an input of the first layer: number `n` of coordinate `axis`.
 pub(super) fn first_weights(axis: usize, n: usize) -> Range<usize> {
     row(0, 3 * n + axis)
 }
@@ -32,12 +32,12 @@ pub(super) fn first_bias() -> Range<usize> {
     row(0, FIRST_ROWS)
 }
 
-/// Where the weights of a middle layer's input stand; its biases are those of input 128.
+/// Position of the weights of a middle layer's input; its biases are those of input 128.
 pub(super) fn middle_weights(layer: usize, input: usize) -> Range<usize> {
     row(FIRST_LENGTH + layer * MIDDLE_LENGTH, input)
 }
 
-/// Where a weight of the colour stands: of the hidden numbers, then of the direction's.
+/// Position of a weight of the colour: of the hidden numbers, then of the direction's.
 pub(super) fn colour_weight(input: usize, channel: usize) -> usize {
     COLOUR_BEGIN + COLOUR * input + channel
 }
@@ -78,7 +78,7 @@ pub(super) struct Layer {
     pub(super) bias: Row,
 }
 
-/// The parameters as the products take them, for one size of images.
+/// The parameters in the layout of the products, for one size of images.
 ///
 /// A position's encoding consists of numbers of its column, of its row, and of constants. The first
 /// layer's sums are therefore those of the column and of the row, added up.

@@ -55,7 +55,7 @@ pub(super) enum Gate<'a, const ROWS: usize> {
 pub(super) struct Product<'a, const ROWS: usize> {
     pub(super) rows: &'a Matrix<ROWS>,
     pub(super) weights: &'a Weights,
-    /// Where each sum begins.
+    /// Initial value of each sum.
     pub(super) start: &'a Row,
     pub(super) gate: Gate<'a, ROWS>,
 }
@@ -67,8 +67,8 @@ fn is_wide<S: Simd>() -> bool {
 }
 
 impl<const ROWS: usize> Product<'_, ROWS> {
-    /// The first `count` rows of the product; further ones up to a multiple of eight are written
-    /// with nothing of meaning. Each sum runs over the columns in order.
+    /// The first `count` rows of the product; further ones up to a multiple of eight get undefined
+    /// values. Each sum runs over the columns in order.
     #[inline(always)]
     pub(super) fn run<S: Simd>(&self, simd: S, count: usize, out: &mut Matrix<ROWS>) {
         if is_wide::<S>() {

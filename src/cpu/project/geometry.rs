@@ -1,5 +1,5 @@
 //! Terms shared by the projection's forward and backward pass, for sixteen Gaussians. The
-//! meaning is the core's src/core/splat/reference/projection.rs.
+//! reference is the core's src/core/splat/reference/projection.rs.
 
 use fearless_simd::prelude::*;
 

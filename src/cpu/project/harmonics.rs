@@ -1,4 +1,4 @@
-//! Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the meaning is
+//! Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the reference is
 //! the core's src/core/splat/reference/harmonics.rs.
 
 use fearless_simd::prelude::*;

@@ -12,15 +12,15 @@ pub struct Response {
     /// Light by value and value by light, above each knot but the last.
     slopes: [[f32; 2]; KNOTS],
     starts: [u8; STARTS],
-    /// Most knots within a part: as many steps find the place of every light. A search that ends
-    /// early costs more, since no processor foresees its end.
+    /// Most knots within a part: this many steps find the place of any light. A search that ends
+    /// early costs more, because processors cannot predict its end.
     steps: usize,
 }
 
 /// Room for the rounding of a light's part.
 const SLACK: f32 = 1e-6;
 
-/// The place of a value: the knot below, and how far it is beyond, in knots.
+/// The place of a value: the knot below, and the distance from it, in knots.
 #[inline(always)]
 fn place(value: f32) -> (usize, f32) {
     let at = value.max(0.0) * (KNOTS - 1) as f32;

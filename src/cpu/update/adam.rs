@@ -13,7 +13,7 @@ use crate::vector::{V3, dot, length, scaled, symmetric};
 const BETAS: [f32; 2] = [0.9, 0.999];
 const EPSILON: f32 = 1e-15;
 /// Largest standard deviation along the line of sight, as a share of the depth. EWA is linear about
-/// the centre: a sheet that recedes farther, as a sky becomes, lies over the view as fog.
+/// the centre: a sheet that recedes farther, like those of a sky, covers the view like fog.
 const DEEPEST: f32 = 0.25;
 
 /// A block of the population.
@@ -44,7 +44,7 @@ pub(super) fn update<S: Simd>(
         };
         advance(numbers, at, (value, by), (rate, step.bias), updates);
     }
-    // Coefficients that are not active have no gradient and no moments, so they stay.
+    // Inactive coefficients have no gradient and no moments, so they do not change.
     for harmonic in 0..3 * coefficients(view.sh_degree) {
         let at = column::HARMONICS + harmonic;
         let rate = if harmonic < 3 { step.rate_sh0 } else { step.rate_sh };

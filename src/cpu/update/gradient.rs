@@ -71,7 +71,7 @@ impl<S: Simd> Gradient<S> {
     }
 }
 
-/// How far each active coefficient goes along the colour's gradient.
+/// Projection of each active coefficient onto the colour's gradient.
 #[inline(always)]
 fn weights<S: Simd>(simd: S, harmonics: &[Lanes], by: V3<S>, degree: u32) -> [F<S>; 16] {
     let mut out = [splat(simd, 0.0); 16];
