@@ -5,6 +5,7 @@ mod images;
 mod records;
 mod score;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
@@ -68,9 +69,9 @@ pub fn evaluate(
     let number = finished.round.number;
     let metrics = context.stage(Stage::Evaluate, number, |context| {
         let tone = finished.next.map(|next| &next.to_target);
-        let at_target = |images: &[Image]| match tone {
-            Some(tone) => tone.apply(images),
-            None => images.to_vec(),
+        let at_target = |images| match tone {
+            Some(tone) => Cow::Owned(tone.apply(images)),
+            None => Cow::Borrowed(images),
         };
         let target = TargetImages {
             enhanced: &brightening.target,

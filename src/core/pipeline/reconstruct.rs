@@ -79,14 +79,13 @@ pub struct Predecessor<'a> {
 }
 
 /// The inputs of a round's training.
-#[derive(Clone, Copy)]
 pub struct TrainingData<'a> {
     /// The round, with its response from light to values.
     pub round: &'a Round,
     /// All views, with their cameras and splits.
     pub views: &'a [View],
-    /// H_i, D_i or their mean (`train_on`), in the order of the views.
-    pub images: &'a [Image],
+    /// H_i, D_i or their mean (`train_on`), in the order of the views. Training takes them out.
+    pub images: Vec<Image>,
     /// Which views have a kernel, in the same order.
     pub with_kernel: &'a [bool],
     /// H_i, for the live scores.
@@ -107,7 +106,7 @@ pub struct TrainingData<'a> {
 pub fn reconstruct(
     context: &mut Context<'_>,
     device: &Device,
-    data: &TrainingData<'_>,
+    mut data: TrainingData<'_>,
     depends_on: &Dependencies,
 ) -> Result<TrainedScene, PipelineError> {
     let number = data.round.number;
@@ -124,10 +123,10 @@ pub fn reconstruct(
     };
     let mut is_trained = false;
     let make = |context: &mut Context<'_>| {
-        let config = train_config(data, depends_on.options());
-        let start = train_start(context, data, &config, depends_on)?;
-        let trained = train(context, device, data, start, &config, depends_on)?;
-        let scene = with_cameras(context, device, data, trained, &config)?;
+        let config = train_config(&data, depends_on.options());
+        let start = train_start(context, &data, &config, depends_on)?;
+        let trained = train(context, device, &mut data, start, &config, depends_on)?;
+        let scene = with_cameras(context, device, &mut data, trained, &config)?;
         context.workspace.make_folder(folder.root())?;
         ply::write(&scene.gaussians, normalisation, &scene_file)?;
         let in_world = |camera: &Camera| normalisation.in_world(camera);
@@ -201,7 +200,7 @@ fn train_start(
         return Ok(TrainStart::Fresh(gaussians));
     }
     let cameras: Vec<Camera> = data.views.iter().map(|view| view.camera).collect();
-    let pictures = data.views.iter().zip(data.images);
+    let pictures = data.views.iter().zip(&data.images);
     let training = pictures.filter(|(view, _)| view.split == Split::Train);
     let seen = training.map(|(view, image)| (&view.camera, image, view.mask.as_ref()));
     let points = points::coloured(data.poses, seen);
@@ -214,7 +213,7 @@ fn train_start(
 fn train(
     context: &mut Context<'_>,
     device: &Device,
-    data: &TrainingData<'_>,
+    data: &mut TrainingData<'_>,
     start: TrainStart,
     config: &TrainConfig,
     depends_on: &Dependencies,
@@ -290,7 +289,7 @@ fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
 fn with_cameras(
     context: &Context<'_>,
     device: &Device,
-    data: &TrainingData<'_>,
+    data: &mut TrainingData<'_>,
     trained: Trained,
     config: &TrainConfig,
 ) -> Result<TrainedScene, PipelineError> {
@@ -328,18 +327,18 @@ fn with_cameras(
     Ok(TrainedScene { gaussians: trained.gaussians, training })
 }
 
-/// The views of one split with their training images.
-fn training_views(data: &TrainingData<'_>, split: Split) -> Vec<TrainingView> {
+/// The views of one split with their training images, which are moved.
+fn training_views(data: &mut TrainingData<'_>, split: Split) -> Vec<TrainingView> {
     data.views
         .iter()
-        .zip(data.images)
+        .zip(&mut data.images)
         .zip(data.with_kernel)
         .filter(|((view, _), _)| view.split == split)
         .map(|((view, image), &has_kernel)| TrainingView {
             has_kernel,
             name: view.name.clone(),
             camera: view.camera,
-            image: image.clone(),
+            image: std::mem::replace(image, Image::new(0, 0)),
             mask: view.mask.clone(),
         })
         .collect()

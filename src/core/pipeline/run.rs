@@ -190,14 +190,14 @@ fn round(
     let data = TrainingData {
         round,
         views,
-        images: &images,
+        images,
         with_kernel: &with_kernel,
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
         before: before.map(RoundOutput::predecessor), // V_{i-1}
     };
-    let scene = reconstruct(context, tools.device, &data, &on.reconstruct)?; // V_i
+    let scene = reconstruct(context, tools.device, data, &on.reconstruct)?; // V_i
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i

@@ -1,5 +1,7 @@
 //! The images that the metrics of a round compare.
 
+use std::borrow::Cow;
+
 use crate::image::Image;
 
 /// The images of one round, one per view, in the order of the views.
@@ -25,7 +27,7 @@ pub struct TargetImages<'a> {
     /// H_N.
     pub enhanced: &'a [Image],
     /// D_i mapped to the target brightness.
-    pub deblurred: Vec<Image>,
+    pub deblurred: Cow<'a, [Image]>,
     /// R_i mapped to the target brightness.
-    pub renders: Vec<Image>,
+    pub renders: Cow<'a, [Image]>,
 }
