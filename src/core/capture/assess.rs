@@ -67,22 +67,12 @@ pub(super) fn assess(
             assessed.photographs.push(entry.path.clone());
         }
         let seen = seen.and_then(|seen| {
-            match (copies.get(&at).map(called), twin) {
-                (Some(original), _) => {
-                    Err((seen, Fault::of(format!("the same picture as {original}"))))
-                }
-                (None, Some(twin)) => {
-                    Err((seen, Fault::of(format!("the same exposure as {twin}"))))
-                }
-                (None, None) => match masked.fault() {
-                    None => Ok(seen),
-                    Some(fault) => Err((seen, fault)),
-                },
-            }
-            .map_err(|(seen, fault)| {
-                seen.prepared.iter().for_each(PreparedImage::remove);
-                fault
-            })
+            let fault = match (copies.get(&at).map(called), twin) {
+                (Some(original), _) => Some(Fault::of(format!("the same picture as {original}"))),
+                (None, Some(twin)) => Some(Fault::of(format!("the same exposure as {twin}"))),
+                (None, None) => masked.fault(),
+            };
+            seen.unless(fault)
         });
         match seen {
             Ok(seen) => {
@@ -94,20 +84,21 @@ pub(super) fn assess(
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
-    let unused = |entry: &Entry| {
-        let format = Unread::named(Path::new(entry.path.name()));
-        let fault = match format {
-            Some(format) => Fault::from(ImageError::Unread(format)),
-            None => Fault::of(UNUSED_VIDEO.to_owned()),
-        };
-        fault.assessment(entry)
-    };
     assessed.assessments.extend(layout.unused.iter().map(unused));
     let of_masks = masked::warnings(&assessed.views, &masked);
     assessed.warnings.extend(of_masks);
     assessed.attach_ground_truth(&layout.ground_truth, &assessor);
     assessed.warn_of_the_whole();
     assessor.into_failure().map_or(Ok(assessed), Err)
+}
+
+/// The assessment of a file that is listed only.
+fn unused(entry: &Entry) -> Assessment {
+    let fault = match Unread::named(Path::new(entry.path.name())) {
+        Some(format) => Fault::from(ImageError::Unread(format)),
+        None => Fault::of(UNUSED_VIDEO.to_owned()),
+    };
+    fault.assessment(entry)
 }
 
 /// The photographs whose picture another one also has, each with that one. Of equal pictures the

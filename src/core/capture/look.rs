@@ -263,6 +263,13 @@ fn sharpness(small: &Image<Srgb>) -> f32 {
 }
 
 impl Seen {
+    /// The photograph, unless it has a fault; then its prepared image is removed.
+    pub(super) fn unless(self, fault: Option<Fault>) -> Result<Self, Fault> {
+        let Some(fault) = fault else { return Ok(self) };
+        self.prepared.iter().for_each(PreparedImage::remove);
+        Err(fault)
+    }
+
     /// Warnings about it, given the capture's median sharpness.
     pub(super) fn warnings(&self, typical_sharpness: f32) -> Vec<CaptureWarning> {
         let mut warnings = Vec::new();

@@ -20,8 +20,8 @@ pub use shake::{ShakeModel, TrainOn};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 if the
-    /// capture is found still.
+    /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 for a
+    /// still capture.
     #[schemars(schema_with = "setting::schema::<1, 8>")]
     pub rounds: Setting,
     /// Optimiser steps per round. `auto` is 1,000, or 2,000 in the one round of a still capture.

@@ -35,9 +35,10 @@ const ALIKE: f64 = 0.02;
 /// in stops, and relative to the standard deviation of the exposures.
 const TRUSTED: (f64, f64) = (0.075, 0.095);
 const TRUSTED_SHARE: (f64, f64) = (0.33, 0.42);
-/// Times as large an error on pixels that were left out, from which evening is worse: equal scenes
-/// of other points differ by one per cent.
-const WORSE: f64 = 1.02;
+/// By how much the error on pixels that were left out may grow where the pairs agree exactly, as a
+/// share: equal scenes of other points differ by one to two per cent. It falls to nothing at this
+/// residual, stops: the less the pairs agree, the more must those pixels confirm.
+const WORSE: (f64, f64) = (0.05, 0.06);
 /// Side of the squares of pixels that are left out of the coarse scenes, px, and one in how many.
 const SQUARE: usize = 8;
 const LEFT_OUT: u64 = 10;
@@ -195,7 +196,7 @@ pub fn find(
     if verdict == Verdict::Used {
         let second = CoarseScene::of(context, device, poses, &small, &found.gains)?;
         found = solved(&small, &second.ratios, &shots);
-        let is_worse = second.error > WORSE * first.error;
+        let is_worse = second.error > (1.0 + found.tolerance()) * first.error;
         verdict = if is_worse { Verdict::NotConfirmed } else { Verdict::of(&found) };
         error = Some([first.error, second.error]);
     }
@@ -290,6 +291,12 @@ impl Found {
         };
         let relative = residual / self.deviation.max(f64::MIN_POSITIVE);
         within(TRUSTED, residual).min(within(TRUSTED_SHARE, relative))
+    }
+
+    /// By how much the error on pixels that were left out may grow, as a share.
+    fn tolerance(&self) -> f64 {
+        let (share, none_at) = WORSE;
+        self.residual.map_or(0.0, |residual| share * (1.0 - residual / none_at).max(0.0))
     }
 
     /// Least and largest exposure of a training view, stops.

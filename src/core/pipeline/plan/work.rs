@@ -64,7 +64,7 @@ const NOISE: f64 = 30.0;
 const FIRST_SHARE: f64 = 0.25;
 const GROWTH: (f64, f64) = (0.05, 0.425);
 
-/// Share of the training views of a shaken capture that have a kernel, until a round has shown which.
+/// Share of the training views of a shaken capture that have a kernel, until a round shows which.
 const KERNELS: f64 = 0.6;
 
 /// Work of some parts, s.
@@ -116,8 +116,8 @@ impl Job {
         }
     }
 
-    /// Notes how many photographs and pairs structure from motion counts. COLMAP's own strategies count
-    /// thirds of a strategy instead, of which there are no more than photographs at first.
+    /// Notes how many photographs and pairs structure from motion counts. COLMAP's own strategies
+    /// count thirds of a strategy instead, at first no more than there are photographs.
     pub fn count_pairs(&mut self, total: u64) {
         if total as f64 > self.views {
             self.pairs.get_or_insert(total);

@@ -39,7 +39,7 @@ pub fn poses(
     let mut copies = Vec::with_capacity(views.len());
     for (index, (view, image)) in views.iter().zip(&bright).enumerate() {
         context.cancel.check()?;
-        let file = folder.join(format!("d{index:05}.png"));
+        let file = folder.join(format!("d{index:05}.half"));
         copies.push(copy(context, tools.deblurrer, view, image, file)?);
     }
     let seed = depends_on.first.options().seed;
@@ -79,8 +79,9 @@ fn copy(
         context.sink.warn("poses", message);
     }
     let scale = image.width() as f64 / view.original.0 as f64;
-    let prepared = PreparedImage::write(&deblurred.to_linear(), file.with_extension("half"));
-    let prepared = prepared.map_err(|source| PipelineError::Io { path: file.clone(), source })?;
+    let path = file.clone();
+    let prepared = PreparedImage::write(&deblurred.to_linear(), file)
+        .map_err(|source| PipelineError::Io { path, source })?;
     Ok(PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
