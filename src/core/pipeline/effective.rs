@@ -63,8 +63,8 @@ impl Effective {
 ///
 /// A still capture is splatted plainly, in one round with the steps of all unless the options say
 /// otherwise. Its cameras stay as found: correcting them costs one museum capture 0.3 to 0.6 dB and
-/// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, images of a
-/// strongly shaken capture are smaller, with as many Gaussians a pixel.
+/// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, images of
+/// a strongly shaken capture are smaller, with as many Gaussians a pixel.
 pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
     let mut options = options.clone();
     match verdict {
