@@ -40,14 +40,15 @@ test: test-openapi test-types setup onnxruntime matcher test-python ## every tes
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-api FLED=$${CARGO_TARGET_DIR:-target}/release/fled
 
-# What waits long or needs a machine for itself: random kills, outages, throughput, a film of the page,
-# and a second real capture for COLMAP.
+# What waits long or needs a machine for itself: random kills, outages, throughput, memory, a film of
+# the page, and a second real capture for COLMAP.
 test-nightly: setup onnxruntime matcher ## the tests that CI leaves out
 	@tools/setup.sh postgresql faketime $(if $(CHROMIUM),,chromium)
 	$(CARGO) test --release --locked --workspace --no-run
 	@$(MAKE) --no-print-directory test-widths
 	$(CARGO) test --release --locked --workspace --test it -- --ignored --test-threads 1
 	$(CARGO) test --release --locked --workspace --lib captures:: -- --ignored
+	$(CARGO) test --release --locked --workspace --test e2e -- --ignored
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(CARGO_TARGET_DIR),target)/release/fled) node --test walk.nightly.js
 

@@ -10,6 +10,7 @@ mod assess;
 mod budget;
 mod entries;
 mod error;
+mod folders;
 mod heads;
 mod layout;
 mod look;
@@ -18,7 +19,9 @@ mod masks;
 mod photograph;
 mod place;
 mod pose_files;
+mod preparation;
 mod prepared;
+mod print;
 mod twins;
 mod versions;
 pub mod video;
@@ -32,17 +35,17 @@ use crate::image::Unread;
 use crate::photo_path::PhotoPath;
 use assess::Assessed;
 use layout::Layout;
-use prepared::Preparation;
+use preparation::Preparation;
 
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes, write_unpacked};
 pub use assess::{FEW_VIEWS, view_names};
 pub use budget::DecodeBudget;
 pub use entries::NAMES;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
-pub use layout::GivenPosesFile;
 pub use look::on_few_threads;
 pub use masks::masks_in;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
+pub use pose_files::GivenPosesFile;
 pub use prepared::{PREPARED_SIDE, PreparedImage};
 pub use watch::{Look, Watch};
 
@@ -115,7 +118,8 @@ impl Capture {
         let layout = layout(path, scratch_dir)?;
         let fingerprint = layout.fingerprint()?;
         let preparation = Preparation::new(scratch_dir, side);
-        if let Some(capture) = preparation.before(path, &fingerprint) {
+        let before = preparation.before(path, &fingerprint);
+        if let Some(capture) = before.filter(Self::is_whole) {
             return Ok(capture);
         }
         let failed = || CaptureError::io(&preparation.folder);
@@ -127,8 +131,16 @@ impl Capture {
         let Assessed { views, photographs, assessments, warnings } = assessed;
         let (poses, hold) = (layout.poses, layout.hold);
         let capture = Self { views, photographs, assessments, warnings, poses, hold, fingerprint };
-        preparation.keep(path, &capture).map_err(failed())?;
+        preparation.keep(path, &capture.fingerprint, &capture).map_err(failed())?;
         Ok(capture)
+    }
+
+    /// Whether the files of all prepared images are there and have their sizes.
+    fn is_whole(&self) -> bool {
+        let is_whole = |view: &CaptureView| {
+            view.prepared.is_whole() && view.gt.as_ref().is_none_or(PreparedImage::is_whole)
+        };
+        self.views.iter().all(is_whole)
     }
 }
 

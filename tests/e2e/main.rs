@@ -7,6 +7,7 @@ mod job;
 mod kills;
 mod late_views;
 mod masks;
+mod memory;
 mod models;
 mod networks;
 mod paper;

@@ -19,7 +19,8 @@ use crate::plain::is_plain;
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
 use super::heads;
-use super::layout::{POSE_FILES, hold};
+use super::layout::hold;
+use super::pose_files::POSE_FILES;
 use super::video::is_video;
 
 /// Largest total unpacked size of an archive, bytes.

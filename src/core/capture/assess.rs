@@ -13,7 +13,8 @@ use super::look::{Assessor, Fault, Seen};
 use super::masked;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::pose_files;
-use super::prepared::{Preparation, PreparedImage};
+use super::preparation::Preparation;
+use super::prepared::PreparedImage;
 use super::twins;
 use super::watch::Watch;
 

@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use super::photograph::Assessment;
-use super::place::in_words;
 use crate::image::Unread;
 use crate::poses::LeftOut;
 use crate::poses::left_out::in_words as in_words_of;
@@ -161,4 +160,21 @@ impl ArchiveFault {
     pub(super) fn of(entry: &str, reason: impl Into<String>) -> Self {
         Self { entry: Some(entry.to_owned()), reason: reason.into() }
     }
+}
+
+/// "garden/ (12 pictures) and kitchen/ (1 picture)".
+pub(super) fn in_words(places: &[(String, usize)]) -> String {
+    const MOST_LISTED: usize = 5;
+    let one = |(folder, count): &(String, usize)| {
+        let folder = match folder.as_str() {
+            "" => "the capture's own folder".to_owned(),
+            folder => format!("{folder}/"),
+        };
+        format!("{folder} ({count} picture{})", if *count == 1 { "" } else { "s" })
+    };
+    let mut listed: Vec<String> = places.iter().take(MOST_LISTED).map(one).collect();
+    if places.len() > MOST_LISTED {
+        listed.push(format!("{} more folders", places.len() - MOST_LISTED));
+    }
+    listed.join(" and ")
 }

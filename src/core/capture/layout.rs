@@ -5,8 +5,6 @@ use std::fs::File;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
 use crate::image::{Unread, named_like_a_photograph};
 use crate::photo_path::{PhotoPath, Tie, find_each};
 use crate::run_folder::RunFolder;
@@ -17,47 +15,11 @@ use super::heads::{self, Recognised};
 use super::masks::{self, Masks};
 use super::photograph::CaptureWarning;
 use super::place::{self, Place};
-use super::pose_files;
+use super::pose_files::{self, GivenPosesFile, POSE_FILES};
 use super::video::is_video;
 
 /// Folders with a meaning; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
-
-/// Files with a meaning, other than photographs and `hold=N`.
-pub(super) const POSE_FILES: [&str; 11] = [
-    "cameras.txt",
-    "images.txt",
-    "points3d.txt",
-    "cameras.bin",
-    "images.bin",
-    "points3d.bin",
-    "transforms.json",
-    "transforms_train.json",
-    "transforms_val.json",
-    "transforms_test.json",
-    "poses_bounds.npy",
-];
-
-/// Poses included in the capture, by file format.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum GivenPosesFile {
-    /// The folder of a COLMAP model: `cameras`, `images` and `points3D`, as text or binary.
-    ColmapModel(PathBuf),
-    /// NeRF's `transforms.json`.
-    Transforms(PathBuf),
-    /// LLFF's `poses_bounds.npy`.
-    PosesBounds(PathBuf),
-}
-
-impl GivenPosesFile {
-    /// The folder or file.
-    pub fn path(&self) -> &Path {
-        match self {
-            Self::ColmapModel(path) | Self::Transforms(path) | Self::PosesBounds(path) => path,
-        }
-    }
-}
 
 /// A capture's files by their role.
 #[derive(Debug)]

@@ -11,8 +11,9 @@ use crate::image::{Header, Image, ImageError, Srgb, Unread, read_header, srgb_to
 use super::budget::DecodeBudget;
 use super::entries::Entry;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
-use super::prepared::{Preparation, PreparedImage};
-use super::twins::Print;
+use super::preparation::Preparation;
+use super::prepared::PreparedImage;
+use super::print::Print;
 use super::watch::{Look, Watch};
 
 /// Long side at which photographs are assessed, px: decoding dominates, so this is enough.

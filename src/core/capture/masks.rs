@@ -9,15 +9,12 @@ use std::path::{Path, PathBuf};
 
 use super::entries::{self, Entry};
 use super::error::CaptureError;
+use super::folders::{HOMES, MASKS, is_small_mask};
 use super::photograph::CaptureWarning;
-use super::place;
 use crate::dataset::masks_of_transforms;
 use crate::image::named_like_a_photograph;
 use crate::mask::MaskPicture;
 use crate::photo_path::{PhotoPath, find_each};
-
-/// Mask folders.
-const FOLDERS: [&str; 2] = ["masks", "mask"];
 
 /// Prefix of a mask beside its photograph in instant-ngp, where non-black pixels are masked:
 /// NVlabs/instant-ngp, issue 176, and `load_nerf` in its `nerf_loader.cu`.
@@ -76,22 +73,13 @@ pub fn masks_in(
     folder: &Path,
     photographs: &[PhotoPath],
 ) -> Result<BTreeMap<PhotoPath, Vec<MaskPicture>>, CaptureError> {
-    let inside = |entry: Entry| Entry { path: entry.path.inside(FOLDERS[0]), ..entry };
+    let inside = |entry: Entry| Entry { path: entry.path.inside(MASKS[0]), ..entry };
     let mut pictures: Vec<Entry> = entries::of_folder(folder)?.into_iter().map(inside).collect();
     let photograph = |path: &PhotoPath| Entry::new(path.clone(), PathBuf::new());
     let photographs: Vec<Entry> = photographs.iter().map(photograph).collect();
     let masks = take(&mut pictures, &[]).of(&photographs, "", &mut Vec::new());
     let pictures = |all: Vec<(Entry, MaskPicture)>| all.into_iter().map(|(_, mask)| mask).collect();
     Ok(masks.0.into_iter().map(|(path, all)| (path, pictures(all))).collect())
-}
-
-/// Whether a picture is in a folder like `masks_4/`, which has smaller masks.
-pub(super) fn is_small_copy(entry: &Entry) -> bool {
-    entry.path.folder().split('/').any(|part| {
-        let part = part.to_ascii_lowercase();
-        let number = { FOLDERS.iter() }.find_map(|f| part.strip_prefix(*f)?.strip_prefix('_'));
-        number.is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()))
-    })
 }
 
 /// Finds the masks and removes from `pictures` those in places where photographs may be.
@@ -221,9 +209,9 @@ fn beside(entry: &Entry, paths: &HashSet<String>, stems: &HashSet<String>) -> Op
 
 /// A mask in a mask folder, which replaces the folder of the photographs in the path.
 fn in_folder(entry: &Entry) -> Option<Named> {
-    let by = match is_small_copy(entry) {
+    let by = match is_small_mask(entry) {
         true => By::SmallCopy,
-        false if entry.path.lies_in(&FOLDERS) => By::Folder,
+        false if entry.path.lies_in(&MASKS) => By::Folder,
         false => return None,
     };
     let stem = PhotoPath::new(entry.path.stem());
@@ -242,7 +230,7 @@ fn key(path: &PhotoPath) -> PhotoPath {
     let is_role = |part: &str| {
         let part = part.to_ascii_lowercase();
         let plain = part.trim_end_matches(|c: char| c.is_ascii_digit()).trim_end_matches('_');
-        place::HOMES.contains(&plain) || FOLDERS.contains(&plain)
+        HOMES.contains(&plain) || MASKS.contains(&plain)
     };
     let folders = path.folder().split('/').filter(|part| !is_role(part));
     let kept: Vec<&str> = folders.collect();

@@ -3,28 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::entries::Entry;
-use super::error::{CaptureError, MIN_VIEWS};
+use super::error::{CaptureError, MIN_VIEWS, in_words};
+use super::folders::{HOMES, is_small_mask};
 use super::photograph::CaptureWarning;
 use super::versions::{self, Choice};
 use crate::photo_path::PhotoPath;
 
 /// Ground truth folders.
 pub(super) const TRUTH: [&str; 2] = ["gt", "hl"];
-
-/// Folders named after photographs: the first of these that exists contains them.
-pub(super) const HOMES: [&str; 11] = [
-    "images",
-    "image",
-    "rgb",
-    "color",
-    "colour",
-    "input",
-    "photos",
-    "photographs",
-    "photo",
-    "frames",
-    "dcim",
-];
 
 /// Folders of pictures derived from the photographs, as scanners and trainers write them.
 pub(super) const MADE: [&str; 22] = [
@@ -70,9 +56,7 @@ fn is_made(entry: &Entry) -> bool {
         let part = part.to_ascii_lowercase();
         MADE_ENDS.iter().any(|end| part.ends_with(end))
     };
-    entry.path.lies_in(&MADE)
-        || super::masks::is_small_copy(entry)
-        || entry.path.folder().split('/').any(ends_so)
+    entry.path.lies_in(&MADE) || is_small_mask(entry) || entry.path.folder().split('/').any(ends_so)
 }
 
 /// Whether the pictures are a low-light set: photographs in `low/` and, for some of them, bright
@@ -289,21 +273,4 @@ fn places(entries: &[Entry]) -> Vec<(String, usize)> {
         *places.entry(entry.path.folder().to_owned()).or_default() += 1;
     }
     places.into_iter().collect()
-}
-
-/// "garden/ (12 pictures) and kitchen/ (1 picture)".
-pub(super) fn in_words(places: &[(String, usize)]) -> String {
-    const MOST_LISTED: usize = 5;
-    let one = |(folder, count): &(String, usize)| {
-        let folder = match folder.as_str() {
-            "" => "the capture's own folder".to_owned(),
-            folder => format!("{folder}/"),
-        };
-        format!("{folder} ({count} picture{})", if *count == 1 { "" } else { "s" })
-    };
-    let mut listed: Vec<String> = places.iter().take(MOST_LISTED).map(one).collect();
-    if places.len() > MOST_LISTED {
-        listed.push(format!("{} more folders", places.len() - MOST_LISTED));
-    }
-    listed.join(" and ")
 }

@@ -1,14 +1,52 @@
 //! Finds the files of a capture that contain its poses.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
 
 use super::entries::Entry;
 use super::error::MIN_VIEWS;
-use super::layout::{GivenPosesFile, POSE_FILES};
 use super::photograph::CaptureWarning;
 use super::versions::is_undistorted;
 use crate::dataset::GivenPoses;
 use crate::photo_path::PhotoPath;
+
+/// Files with a meaning, other than photographs and `hold=N`.
+pub(super) const POSE_FILES: [&str; 11] = [
+    "cameras.txt",
+    "images.txt",
+    "points3d.txt",
+    "cameras.bin",
+    "images.bin",
+    "points3d.bin",
+    "transforms.json",
+    "transforms_train.json",
+    "transforms_val.json",
+    "transforms_test.json",
+    "poses_bounds.npy",
+];
+
+/// Poses included in the capture, by file format.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GivenPosesFile {
+    /// The folder of a COLMAP model: `cameras`, `images` and `points3D`, as text or binary.
+    ColmapModel(PathBuf),
+    /// NeRF's `transforms.json`.
+    Transforms(PathBuf),
+    /// LLFF's `poses_bounds.npy`.
+    PosesBounds(PathBuf),
+}
+
+impl GivenPosesFile {
+    /// The folder or file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::ColmapModel(path) | Self::Transforms(path) | Self::PosesBounds(path) => path,
+        }
+    }
+}
 
 /// Folders in which COLMAP models are looked for, either the model itself or one folder per model;
 /// "" is the capture's root, which may only be a model itself. `sparse_gt/` is excluded: it is the

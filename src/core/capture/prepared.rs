@@ -8,20 +8,16 @@
 
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Capture, CaptureView};
-use crate::image::{Image, ImageError, Linear, Srgb, write_atomic};
+use crate::image::{Image, ImageError, Linear, Srgb};
 
 /// Longest side of prepared images, px, unless a run works on larger ones.
 pub const PREPARED_SIDE: usize = 2_048;
-
-/// Raised when prepared images of equal photographs change.
-const VERSION: u32 = 1;
 
 /// Bytes before the planes.
 const HEADER: usize = 8;
@@ -99,7 +95,7 @@ impl PreparedImage {
     }
 
     /// Whether the file has the size of the image.
-    fn is_whole(&self) -> bool {
+    pub(super) fn is_whole(&self) -> bool {
         let bytes = (HEADER + 6 * self.width * self.height) as u64;
         self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
     }
@@ -107,77 +103,5 @@ impl PreparedImage {
     pub(super) fn remove(&self) {
         // One that stays is in nobody's way.
         let _ = fs::remove_file(&self.file);
-    }
-}
-
-/// Where a capture's images are prepared, and how large.
-#[derive(Clone, Debug)]
-pub(super) struct Preparation {
-    pub(super) folder: PathBuf,
-    pub(super) side: usize,
-}
-
-/// What `manifest.json` holds: a prepared capture, and what it was made of.
-#[derive(Serialize, Deserialize)]
-struct Manifest {
-    version: u32,
-    side: usize,
-    /// The folder or archive that was opened.
-    source: PathBuf,
-    capture: Capture,
-}
-
-impl Preparation {
-    pub(super) fn new(scratch: &Path, side: usize) -> Self {
-        Self { folder: scratch.join("prepared"), side }
-    }
-
-    /// The file of the image of photograph `index`, or of its ground truth.
-    pub(super) fn file(&self, index: usize, is_truth: bool) -> PathBuf {
-        let kind = if is_truth { "truth" } else { "view" };
-        self.folder.join(format!("{kind}-{index:05}.half"))
-    }
-
-    /// The capture as it was prepared before, if it was, from the same photographs.
-    pub(super) fn before(&self, source: &Path, fingerprint: &str) -> Option<Capture> {
-        let bytes = fs::read(self.manifest()).ok()?;
-        let manifest: Manifest = serde_json::from_slice(&bytes).ok()?;
-        let Manifest { version, side, source: of, capture } = manifest;
-        let is_same = (version, side, &*of, &*capture.fingerprint)
-            == (VERSION, self.side, source, fingerprint);
-        let is_whole = |view: &CaptureView| {
-            view.prepared.is_whole() && view.gt.as_ref().is_none_or(PreparedImage::is_whole)
-        };
-        (is_same && capture.views.iter().all(is_whole)).then_some(capture)
-    }
-
-    /// Begins anew.
-    pub(super) fn begin(&self) -> io::Result<()> {
-        match fs::remove_dir_all(&self.folder) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        fs::create_dir_all(&self.folder)
-    }
-
-    /// Removes what was written.
-    pub(super) fn abandon(&self) {
-        // The error that led here is the one worth reporting.
-        let _ = fs::remove_dir_all(&self.folder);
-    }
-
-    /// Keeps a capture whose images are all prepared.
-    pub(super) fn keep(&self, source: &Path, capture: &Capture) -> io::Result<()> {
-        let manifest = Manifest {
-            version: VERSION,
-            side: self.side,
-            source: source.to_owned(),
-            capture: capture.clone(),
-        };
-        write_atomic(&self.manifest(), &serde_json::to_vec(&manifest)?)
-    }
-
-    fn manifest(&self) -> PathBuf {
-        self.folder.join("manifest.json")
     }
 }

@@ -5,11 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use super::entries::Entry;
 use super::look::Seen;
-use crate::image::{Image, Srgb};
 use crate::photo_path::PhotoPath;
-
-/// Side of the compared pictures, px: averages out noise and compression artefacts.
-const SIDE: usize = 24;
 
 /// Minimum correlation of twins with the same name. They may be developed differently; different
 /// subjects, or another viewpoint, are far below.
@@ -25,22 +21,6 @@ const EQUAL_BRIGHTNESS: f32 = 0.02;
 /// Extensions by how much of the exposure they preserve, most first; others are JPEG.
 const KEEPING: [&[&str]; 4] =
     [&["tif", "tiff", "btf"], &["heic", "heif", "hif"], &["png"], &["webp"]];
-
-/// A picture for comparison: luma of zero mean and unit length.
-pub(super) struct Print(Vec<f32>);
-
-impl Print {
-    pub(super) fn of(picture: &Image<Srgb>) -> Self {
-        let luma = picture.resize_area(SIDE, SIDE).luma();
-        let mean = luma.iter().sum::<f32>() / luma.len() as f32;
-        let length = luma.iter().map(|v| (v - mean).powi(2)).sum::<f32>().sqrt().max(1e-9);
-        Self(luma.into_iter().map(|v| (v - mean) / length).collect())
-    }
-
-    fn correlation(&self, other: &Self) -> f32 {
-        self.0.iter().zip(&other.0).map(|(a, b)| a * b).sum()
-    }
-}
 
 /// A photograph that may have twins.
 struct One<'a> {

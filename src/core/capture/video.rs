@@ -104,7 +104,7 @@ pub fn take_frames(
     }
     let mut stream = Stream::of(&ffmpeg)?;
     let sharpness = measure(&ffmpeg, &stream)?;
-    if sharpness.len() < super::MIN_VIEWS {
+    if sharpness.len() < super::error::MIN_VIEWS {
         return Err(VideoError::TooShort { frames: sharpness.len() });
     }
     let chosen = Segments::of(sharpness.len(), wanted.count).sharpest(&sharpness);

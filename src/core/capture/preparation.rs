@@ -1,0 +1,91 @@
+//! The folder of a capture's prepared images.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use crate::image::write_atomic;
+
+/// Raised when prepared images of equal photographs change.
+const VERSION: u32 = 1;
+
+/// Where a capture's images are prepared, and how large.
+#[derive(Clone, Debug)]
+pub(super) struct Preparation {
+    pub(super) folder: PathBuf,
+    pub(super) side: usize,
+}
+
+/// What `manifest.json` holds: a prepared capture, and what it was made of.
+#[derive(Serialize, Deserialize)]
+struct Manifest<C> {
+    version: u32,
+    side: usize,
+    /// The folder or archive that was opened.
+    source: PathBuf,
+    fingerprint: String,
+    capture: C,
+}
+
+impl Preparation {
+    pub(super) fn new(scratch: &Path, side: usize) -> Self {
+        Self { folder: scratch.join("prepared"), side }
+    }
+
+    /// The file of the image of photograph `index`, or of its ground truth.
+    pub(super) fn file(&self, index: usize, is_truth: bool) -> PathBuf {
+        let kind = if is_truth { "truth" } else { "view" };
+        self.folder.join(format!("{kind}-{index:05}.half"))
+    }
+
+    /// The capture as it was prepared before, if it was, from the same photographs.
+    pub(super) fn before<C: DeserializeOwned>(
+        &self,
+        source: &Path,
+        fingerprint: &str,
+    ) -> Option<C> {
+        let bytes = fs::read(self.manifest()).ok()?;
+        let manifest: Manifest<C> = serde_json::from_slice(&bytes).ok()?;
+        let of = (manifest.version, manifest.side, &*manifest.source, &*manifest.fingerprint);
+        (of == (VERSION, self.side, source, fingerprint)).then_some(manifest.capture)
+    }
+
+    /// Begins anew.
+    pub(super) fn begin(&self) -> io::Result<()> {
+        match fs::remove_dir_all(&self.folder) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        fs::create_dir_all(&self.folder)
+    }
+
+    /// Removes what was written.
+    pub(super) fn abandon(&self) {
+        // The error that led here is the one worth reporting.
+        let _ = fs::remove_dir_all(&self.folder);
+    }
+
+    /// Keeps a capture whose images are all prepared.
+    pub(super) fn keep(
+        &self,
+        source: &Path,
+        fingerprint: &str,
+        capture: &impl Serialize,
+    ) -> io::Result<()> {
+        let manifest = Manifest {
+            version: VERSION,
+            side: self.side,
+            source: source.to_owned(),
+            fingerprint: fingerprint.to_owned(),
+            capture,
+        };
+        write_atomic(&self.manifest(), &serde_json::to_vec(&manifest)?)
+    }
+
+    fn manifest(&self) -> PathBuf {
+        self.folder.join("manifest.json")
+    }
+}
