@@ -289,9 +289,19 @@ impl WorkFolder {
         self.poses().join("deblurred")
     }
 
+    /// The version of the code that began the run.
+    pub fn code_version(&self) -> PathBuf {
+        self.root.join("code_version.json")
+    }
+
     /// Marks the stage with this name as finished, with its inputs.
     pub fn stamp(&self, stage: &str) -> PathBuf {
-        self.root.join("stamps").join(format!("{stage}.json"))
+        self.stamps().join(format!("{stage}.json"))
+    }
+
+    /// The marks of finished stages.
+    pub fn stamps(&self) -> PathBuf {
+        self.root.join("stamps")
     }
 
     /// The interrupted training.
@@ -310,8 +320,9 @@ impl WorkFolder {
     }
 
     /// The files and folders deleted when a run succeeds: the large ones of these.
-    pub fn disposable(&self) -> [PathBuf; 4] {
+    pub fn disposable(&self) -> [PathBuf; 5] {
         [
+            self.capture(),
             self.root.join(KeptImages::Deblurred.name()),
             self.root.join(KeptImages::Brightened.name()),
             self.late_views(),

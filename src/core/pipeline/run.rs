@@ -339,6 +339,10 @@ fn begin<'a>(
 ) -> Result<Context<'a>, PipelineError> {
     cancel.check()?;
     workspace.write_json(&workspace.folder().config(), options)?;
+    if workspace.enter()? {
+        let message = "another version of fled began this run; its stages start again";
+        sink.warn("upgraded", message.to_owned());
+    }
     sink.event(&Event::Planned {
         rounds: options.round_count(),
         views: capture.views.len() as u32,

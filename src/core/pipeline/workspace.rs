@@ -108,6 +108,22 @@ impl Workspace {
         serde_json::from_slice(&fs::read(path).ok()?).ok()
     }
 
+    /// Notes that this build works here; returns whether another version of the code did before,
+    /// whose results are not used.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn enter(&self) -> Result<bool, PipelineError> {
+        let path = self.folder.work().code_version();
+        let before: Option<u32> = self.read_json(&path);
+        if before != Some(CODE_VERSION) {
+            self.write_json(&path, &CODE_VERSION)?;
+        }
+        // Versions before 8 left stamps alone.
+        let has_stamps = self.folder.work().stamps().is_dir();
+        Ok(before.map_or(has_stamps, |before| before != CODE_VERSION))
+    }
+
     /// Marks the stage `name` as finished for inputs of this fingerprint.
     ///
     /// # Errors
@@ -166,6 +182,24 @@ mod tests {
     fn a_fingerprint_separates_its_parts() {
         assert_ne!(fingerprint(&["ab", "c"]), fingerprint(&["a", "bc"]));
         assert_eq!(fingerprint(&["ab", "c"]), fingerprint(&["ab", "c"]));
+    }
+
+    #[test]
+    fn a_run_of_another_version_is_recognised_once() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let workspace = Workspace::open(folder.path()).expect("open");
+        assert!(!workspace.enter().expect("entered"), "a new run");
+        workspace.stamp("render", "f", 1.0).expect("stamped");
+        assert!(!workspace.enter().expect("entered"), "the same version");
+        let version = workspace.folder().work().code_version();
+        for older in [Some(CODE_VERSION - 1), None] {
+            match older {
+                Some(older) => workspace.write_json(&version, &older).expect("written"),
+                None => workspace.remove(&version).expect("removed"),
+            }
+            assert!(workspace.enter().expect("entered"), "{older:?}");
+            assert!(!workspace.enter().expect("entered"), "it was reported");
+        }
     }
 
     #[test]

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::work::Part;
 use crate::pipeline::error::PipelineError;
-use crate::pipeline::workspace::Workspace;
+use crate::pipeline::workspace::{CODE_VERSION, Workspace};
 
 /// Most runs that are kept.
 const KEPT: usize = 20;
@@ -24,6 +24,14 @@ pub struct Cost {
     pub seconds: f64,
 }
 
+/// The content of `costs.json`. The costs of another version of the code say nothing about this
+/// one.
+#[derive(Serialize, Deserialize)]
+struct Kept<R> {
+    code_version: u32,
+    runs: R,
+}
+
 /// The costs of this machine's last runs, the newest last.
 #[derive(Clone, Debug, Default)]
 pub struct History {
@@ -35,8 +43,9 @@ impl History {
     /// The history in `folder`; none where nothing is cached or kept yet.
     pub fn open(folder: Option<&Path>, workspace: &Workspace) -> Self {
         let file = folder.map(|folder| folder.join("costs.json"));
-        let runs = file.as_ref().and_then(|file| workspace.read_json(file));
-        Self { file, runs: runs.unwrap_or_default() }
+        let kept = file.as_ref().and_then(|file| workspace.read_json::<Kept<Vec<_>>>(file));
+        let kept = kept.filter(|kept| kept.code_version == CODE_VERSION);
+        Self { file, runs: kept.map(|kept| kept.runs).unwrap_or_default() }
     }
 
     /// Seconds a unit of work that a part took lately.
@@ -63,7 +72,10 @@ impl History {
     /// [`PipelineError::Io`].
     pub fn write(&self, workspace: &Workspace) -> Result<(), PipelineError> {
         match &self.file {
-            Some(file) => workspace.write_json(file, &self.runs),
+            Some(file) => {
+                let kept = Kept { code_version: CODE_VERSION, runs: &self.runs };
+                workspace.write_json(file, &kept)
+            }
             None => Ok(()),
         }
     }

@@ -10,7 +10,7 @@ use crate::deblur::NetworkChoice;
 use crate::event::ProgressSink;
 use crate::metrics::CaptureShake;
 use crate::pipeline::config::Setting;
-use crate::pipeline::workspace::Workspace;
+use crate::pipeline::workspace::{CODE_VERSION, Workspace};
 
 /// Share by which the time left may be wrong, and seconds near the end.
 const WRONG_BY: f64 = 0.3;
@@ -330,6 +330,12 @@ fn a_finished_run_leaves_its_costs_to_the_next() {
     assert!(!done(first) && done(last), "{reported:?}");
     let history = History::open(Some(folder.path()), &workspace);
     assert!(history.pace(Part::Render, "").is_some());
+    let file = folder.path().join("costs.json");
+    let mut kept: Value = workspace.read_json(&file).expect("written");
+    kept["code_version"] = (CODE_VERSION - 1).into();
+    workspace.write_json(&file, &kept).expect("written");
+    let history = History::open(Some(folder.path()), &workspace);
+    assert_eq!(history.pace(Part::Render, ""), None, "of another version");
     // Below a file there is no room for another.
     let reported = events_of_a_render(&folder.path().join("costs.json"), &workspace);
     assert!(matches!(&reported[3], Event::Warning { code, .. } if code == "costs"), "{reported:?}");
