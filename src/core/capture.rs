@@ -92,7 +92,7 @@ impl Inspection {
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
     pub fn of(path: &Path, scratch_dir: &Path, watch: &Watch<'_>) -> Result<Self, CaptureError> {
-        let layout = layout(path, scratch_dir)?;
+        let (layout, _) = layout(path, scratch_dir)?;
         let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
         Ok(Self { accepted: views.len(), photographs, assessments, warnings, poses: layout.poses })
@@ -115,10 +115,11 @@ impl Capture {
     /// # Errors
     /// As [`Capture::open`].
     pub fn open_at(path: &Path, scratch_dir: &Path, side: usize) -> Result<Self, CaptureError> {
-        let layout = layout(path, scratch_dir)?;
+        let (layout, files) = layout(path, scratch_dir)?;
         let fingerprint = layout.fingerprint()?;
+        let contents = format!("{fingerprint} {files}");
         let preparation = Preparation::new(scratch_dir, side);
-        let before = preparation.before(path, &fingerprint);
+        let before = preparation.before(path, &contents);
         if let Some(capture) = before.filter(Self::is_whole) {
             return Ok(capture);
         }
@@ -131,7 +132,7 @@ impl Capture {
         let Assessed { views, photographs, assessments, warnings } = assessed;
         let (poses, hold) = (layout.poses, layout.hold);
         let capture = Self { views, photographs, assessments, warnings, poses, hold, fingerprint };
-        preparation.keep(path, &capture.fingerprint, &capture).map_err(failed())?;
+        preparation.keep(path, &contents, &capture).map_err(failed())?;
         Ok(capture)
     }
 
@@ -144,7 +145,8 @@ impl Capture {
     }
 }
 
-fn layout(path: &Path, scratch_dir: &Path) -> Result<Layout, CaptureError> {
+/// The capture's files by their role, and a digest of the names of all, used or not.
+fn layout(path: &Path, scratch_dir: &Path) -> Result<(Layout, String), CaptureError> {
     let metadata = path.metadata().map_err(CaptureError::io(path))?;
     let entries = if metadata.is_dir() {
         entries::of_folder(path)?
@@ -157,7 +159,10 @@ fn layout(path: &Path, scratch_dir: &Path) -> Result<Layout, CaptureError> {
             None => CaptureError::NotACapture { path },
         });
     };
-    Layout::of(entries)
+    let mut names: Vec<&str> = entries.iter().map(|entry| entry.path.as_str()).collect();
+    names.sort_unstable();
+    let digest = blake3::hash(names.join("\0").as_bytes()).to_string();
+    Ok((Layout::of(entries)?, digest))
 }
 
 /// # Errors

@@ -96,6 +96,20 @@ impl From<fled_blobs::BlobError> for ServerError {
 }
 
 impl ServerError {
+    /// Whether a database operation waited in vain for a connection or a lock.
+    pub fn is_busy(&self) -> bool {
+        // SQLITE_BUSY and SQLITE_LOCKED, the low byte of their extended codes.
+        let is_lock =
+            |code: &str| code.parse::<u32>().is_ok_and(|code| [5, 6].contains(&(code & 0xff)));
+        match self {
+            Self::Database(sqlx::Error::PoolTimedOut) => true,
+            Self::Database(sqlx::Error::Database(error)) => {
+                error.code().is_some_and(|code| is_lock(&code))
+            }
+            _ => false,
+        }
+    }
+
     /// Returns whether a database error is transient, such as a lost connection.
     pub fn passes(&self) -> bool {
         let Self::Database(error) = self else {

@@ -26,7 +26,8 @@ struct Manifest<C> {
     side: usize,
     /// The folder or archive that was opened.
     source: PathBuf,
-    fingerprint: String,
+    /// What was in it.
+    contents: String,
     capture: C,
 }
 
@@ -42,15 +43,11 @@ impl Preparation {
     }
 
     /// The capture as it was prepared before, if it was, from the same photographs.
-    pub(super) fn before<C: DeserializeOwned>(
-        &self,
-        source: &Path,
-        fingerprint: &str,
-    ) -> Option<C> {
+    pub(super) fn before<C: DeserializeOwned>(&self, source: &Path, contents: &str) -> Option<C> {
         let bytes = fs::read(self.manifest()).ok()?;
         let manifest: Manifest<C> = serde_json::from_slice(&bytes).ok()?;
-        let of = (manifest.version, manifest.side, &*manifest.source, &*manifest.fingerprint);
-        (of == (VERSION, self.side, source, fingerprint)).then_some(manifest.capture)
+        let of = (manifest.version, manifest.side, &*manifest.source, &*manifest.contents);
+        (of == (VERSION, self.side, source, contents)).then_some(manifest.capture)
     }
 
     /// Begins anew.
@@ -72,14 +69,14 @@ impl Preparation {
     pub(super) fn keep(
         &self,
         source: &Path,
-        fingerprint: &str,
+        contents: &str,
         capture: &impl Serialize,
     ) -> io::Result<()> {
         let manifest = Manifest {
             version: VERSION,
             side: self.side,
             source: source.to_owned(),
-            fingerprint: fingerprint.to_owned(),
+            contents: contents.to_owned(),
             capture,
         };
         write_atomic(&self.manifest(), &serde_json::to_vec(&manifest)?)

@@ -19,6 +19,11 @@ pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {
     (dir, store)
 }
 
+/// Holds the lock of writers until dropped.
+pub(crate) async fn lock(store: &Store) -> impl Sized + use<> {
+    store.write().await.expect("the lock of writers")
+}
+
 /// A database on a server.
 pub(crate) async fn of_a_server() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");

@@ -23,11 +23,14 @@ use crate::files::remove;
 use crate::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::redaction::without_paths;
 use crate::sharing;
-use crate::store::{Claim, JobError, JobRow, Lease, Progress, Settlement};
+use crate::store::{Claim, Engine, JobError, JobRow, Lease, Progress, Settlement};
 use crate::validation;
 
 /// How long to wait for output of other processes in the group after the job's process has ended.
 const DRAIN: Duration = Duration::from_secs(2);
+
+/// Pause before a database operation is repeated because the database is busy.
+const BUSY_PAUSE: Duration = Duration::from_secs(1);
 
 /// Why an attempt's loop ends.
 enum End {
@@ -339,10 +342,26 @@ impl Attempt<'_> {
                 if !is_seen(&event) {
                     self.log.line(&readable(&event));
                 }
-                self.app.store.record(&self.lease, &event).await?;
+                while let Err(error) = self.app.store.record(&self.lease, &event).await {
+                    self.pause_if_busy(error).await?;
+                }
                 self.app.pass(Failpoint::Told);
             }
         }
+        Ok(())
+    }
+
+    /// Pauses after a database operation that is to be repeated because the database was busy: that
+    /// is no fault of the job. A database with rivals must answer in time.
+    ///
+    /// # Errors
+    /// Any other error.
+    async fn pause_if_busy(&self, error: ServerError) -> Result<()> {
+        if !error.is_busy() || self.app.store.engine() != Engine::Sqlite {
+            return Err(error);
+        }
+        tracing::warn!(%error, job = self.lease.job, "the database is busy");
+        tokio::time::sleep(BUSY_PAUSE).await;
         Ok(())
     }
 
@@ -365,7 +384,9 @@ impl Attempt<'_> {
 
     async fn write_pending(&mut self) -> Result<()> {
         if let Some(progress) = self.pending.take() {
-            self.app.store.advance(&self.lease, &progress).await?;
+            while let Err(error) = self.app.store.advance(&self.lease, &progress).await {
+                self.pause_if_busy(error).await?;
+            }
             self.app.pass(Failpoint::Advanced);
         }
         Ok(())

@@ -50,9 +50,12 @@ fn each_photograph_is_decoded_once_whoever_reads_it() {
     }
     assert_eq!(open(folder.path(), PREPARED_SIDE), opened);
     assert_eq!(decodes(folder.path()), 4);
+    fs::write(folder.path().join("capture/images/d.gpr"), "raw").expect("written");
+    let more = open(folder.path(), PREPARED_SIDE);
+    assert_eq!((more.views.len(), more.assessments.len()), (3, 4), "another file is listed");
     fs::write(folder.path().join("capture/images/c.jpg"), jpeg(7)).expect("written");
     assert_ne!(open(folder.path(), PREPARED_SIDE).fingerprint, opened.fingerprint);
-    assert_eq!(decodes(folder.path()), 8, "another capture is prepared again");
+    assert_eq!(decodes(folder.path()), 12, "another capture is prepared again");
 }
 
 #[test]
