@@ -77,5 +77,4 @@ fn large_photographs_and_many_cores_take_no_more_memory() {
     assert!(child.wait().expect("waited").success(), "{first}\n{last:?}");
     assert!(preparing <= MAX_PREPARING, "preparing took {preparing} MB");
     assert!(whole <= MAX_RUN, "the run took {whole} MB");
-    println!("preparing {preparing} MB, the run {whole} MB");
 }
