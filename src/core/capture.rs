@@ -27,7 +27,7 @@ mod versions;
 pub mod video;
 mod watch;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -92,7 +92,7 @@ impl Inspection {
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
     pub fn of(path: &Path, scratch_dir: &Path, watch: &Watch<'_>) -> Result<Self, CaptureError> {
-        let (layout, _) = layout(path, scratch_dir)?;
+        let layout = layout(path, scratch_dir)?;
         let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
         Ok(Self { accepted: views.len(), photographs, assessments, warnings, poses: layout.poses })
@@ -115,12 +115,13 @@ impl Capture {
     /// # Errors
     /// As [`Capture::open`].
     pub fn open_at(path: &Path, scratch_dir: &Path, side: usize) -> Result<Self, CaptureError> {
-        let (layout, files) = layout(path, scratch_dir)?;
+        let layout = layout(path, scratch_dir)?;
         let fingerprint = layout.fingerprint()?;
-        let contents = format!("{fingerprint} {files}");
+        let contents = format!("{fingerprint} {}", layout.files);
         let preparation = Preparation::new(scratch_dir, side);
-        let before = preparation.before(path, &contents);
-        if let Some(capture) = before.filter(Self::is_whole) {
+        let before = preparation.before(&contents);
+        let is_whole = |capture: &Self| capture.is_whole(&preparation.folder);
+        if let Some(capture) = before.filter(is_whole) {
             return Ok(capture);
         }
         let failed = || CaptureError::io(&preparation.folder);
@@ -132,21 +133,26 @@ impl Capture {
         let Assessed { views, photographs, assessments, warnings } = assessed;
         let (poses, hold) = (layout.poses, layout.hold);
         let capture = Self { views, photographs, assessments, warnings, poses, hold, fingerprint };
-        preparation.keep(path, &contents, &capture).map_err(failed())?;
+        preparation
+            .keep(&contents, &capture)
+            .inspect_err(|_| preparation.abandon())
+            .map_err(failed())?;
         Ok(capture)
     }
 
-    /// Whether the files of all prepared images are there and have their sizes.
-    fn is_whole(&self) -> bool {
-        let is_whole = |view: &CaptureView| {
-            view.prepared.is_whole() && view.gt.as_ref().is_none_or(PreparedImage::is_whole)
-        };
-        self.views.iter().all(is_whole)
+    /// The folder of the prepared images under a scratch folder.
+    pub fn prepared(scratch_dir: &Path) -> PathBuf {
+        Preparation::new(scratch_dir, PREPARED_SIDE).folder
+    }
+
+    /// Whether the files of all prepared images are in this folder and have their sizes.
+    fn is_whole(&self, folder: &Path) -> bool {
+        let mut images = self.views.iter().flat_map(|view| view.gt.iter().chain([&view.prepared]));
+        images.all(|image| image.is_whole_in(folder))
     }
 }
 
-/// The capture's files by their role, and a digest of the names of all, used or not.
-fn layout(path: &Path, scratch_dir: &Path) -> Result<(Layout, String), CaptureError> {
+fn layout(path: &Path, scratch_dir: &Path) -> Result<Layout, CaptureError> {
     let metadata = path.metadata().map_err(CaptureError::io(path))?;
     let entries = if metadata.is_dir() {
         entries::of_folder(path)?
@@ -159,10 +165,7 @@ fn layout(path: &Path, scratch_dir: &Path) -> Result<(Layout, String), CaptureEr
             None => CaptureError::NotACapture { path },
         });
     };
-    let mut names: Vec<&str> = entries.iter().map(|entry| entry.path.as_str()).collect();
-    names.sort_unstable();
-    let digest = blake3::hash(names.join("\0").as_bytes()).to_string();
-    Ok((Layout::of(entries)?, digest))
+    Layout::of(entries)
 }
 
 /// # Errors

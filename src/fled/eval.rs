@@ -83,7 +83,8 @@ fn judge(args: &Args, run: &Path, truth: &Path) -> Result<(), Failure> {
     let seen_from = seen_from.map(|run| Subject::open(&RunFolder::new(run)));
     let seen_from = seen_from.transpose()?;
     let out = args.out.clone().unwrap_or_else(|| run.evaluation());
-    let truth = Truth::open(truth, &out)?;
+    let scratch = tempfile::tempdir().map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    let truth = Truth::open(truth, scratch.path(), subject.longest_side())?;
     let lpips = args.lpips.as_deref().map(|path| open_lpips(args, path));
     let mut lpips = lpips.transpose()?;
     let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;

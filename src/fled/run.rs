@@ -43,7 +43,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Remove what only another run into the same folder, with other options, would use again:
-    /// the deblurred views in full precision.
+    /// the unpacked capture and the deblurred views in full precision.
     #[arg(long)]
     discard_work: bool,
     #[command(flatten)]
@@ -115,6 +115,7 @@ fn run(
         }
         Extent::Whole => {
             pipeline::run(&capture, options, &mut tools, workspace, reporter, cancel)?;
+            workspace.discard_prepared()?;
         }
     }
     if args.discard_work {

@@ -192,9 +192,11 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file of a job's folder is shared: files left by renders and processes are not.
+/// Whether a file of a job's folder is shared: files left by renders and processes are not, nor is
+/// the prepared capture, which another machine prepares again in seconds.
 pub fn is_kept(path: &str) -> bool {
-    path == "log.txt" || path.starts_with("output/")
+    let is_prepared = path.starts_with("output/work/capture/");
+    path == "log.txt" || path.starts_with("output/") && !is_prepared
 }
 
 /// Hard-links the shared files of a folder into another: a running job replaces its files, which

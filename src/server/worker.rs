@@ -29,6 +29,8 @@ const IDLE: Duration = Duration::from_millis(500);
 const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 /// Pause after a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
+/// Pause before a database operation is repeated because the database is busy.
+const BUSY_PAUSE: Duration = Duration::from_secs(1);
 
 /// Runs jobs of one kind until the server stops. Never gives up: a fault of the database or the
 /// disk is logged, and the operation is tried again.
@@ -190,7 +192,16 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
         }
         other => other,
     };
-    let state = app.store.settle(lease, &settlement).await?;
+    let is_alone = app.store.engine() == Engine::Sqlite;
+    let state = loop {
+        match app.store.settle(lease, &settlement).await {
+            Err(error) if error.is_busy() && is_alone && !app.shutdown.is_cancelled() => {
+                tracing::warn!(%error, job = id, "the database is busy");
+                pause(app, BUSY_PAUSE).await;
+            }
+            state => break state?,
+        }
+    };
     app.pass(Failpoint::Settled);
     tracing::info!(job = id, state = state.name(), "attempt settled");
     Ok(())

@@ -128,8 +128,10 @@ fn lost_and_misplaced_photographs_join_at_the_right_place() {
         let view = &metrics["exposure"]["views"][name];
         view["stops"].as_f64().unwrap_or_else(|| panic!("{name}: {}", metrics["exposure"]))
     };
-    let apart = stops(LOST) - stops("005") - (STOPS[0] - STOPS[1]);
-    assert!(apart.abs() < 0.1, "{apart}: {}", metrics["exposure"]);
+    for (name, own) in [(LOST, STOPS[0]), (MOVED, STOPS[3])] {
+        let apart = stops(name) - stops("005") - (own - STOPS[1]);
+        assert!(apart.abs() < 0.1, "{name}: {apart}: {}", metrics["exposure"]);
+    }
     // The search is not repeated.
     let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");

@@ -42,6 +42,8 @@ pub(super) struct Layout {
     pub(super) hold: Option<u32>,
     /// Which pictures are not read, and which poses are.
     pub(super) warnings: Vec<CaptureWarning>,
+    /// A digest of where all files are and what their owner calls them, used or not.
+    pub(super) files: String,
 }
 
 impl Layout {
@@ -51,6 +53,8 @@ impl Layout {
         let (pictures, others): (Vec<_>, Vec<_>) =
             entries.into_iter().partition(claims_to_be_a_photograph);
         let Beside { pictures, others, foreign_poses, result } = Beside::of(pictures, others);
+        let foreign = foreign_poses.iter().map(|(entry, _)| entry);
+        let files = digest(pictures.iter().chain(&others).chain(foreign));
         // Files without a role may be anywhere.
         let count = pictures.len();
         let mut entries: Vec<Entry> = pictures.into_iter().chain(others).collect();
@@ -101,6 +105,7 @@ impl Layout {
             pose_files: pose_files.unwrap_or_default(),
             hold,
             warnings,
+            files,
         })
     }
 
@@ -133,6 +138,13 @@ impl Layout {
         }
         Ok(hasher.finalize().to_hex().to_string())
     }
+}
+
+fn digest<'a>(entries: impl Iterator<Item = &'a Entry>) -> String {
+    let name = |entry: &Entry| format!("{}\0{}", entry.path, entry.file.display());
+    let mut names: Vec<String> = entries.map(name).collect();
+    names.sort_unstable();
+    blake3::hash(names.join("\0").as_bytes()).to_string()
 }
 
 /// Prefix of the file name that sets it, as in the Deblur-NeRF and ExBluRF sets.

@@ -24,8 +24,6 @@ pub(super) struct Preparation {
 struct Manifest<C> {
     version: u32,
     side: usize,
-    /// The folder or archive that was opened.
-    source: PathBuf,
     /// What was in it.
     contents: String,
     capture: C,
@@ -42,12 +40,12 @@ impl Preparation {
         self.folder.join(format!("{kind}-{index:05}.half"))
     }
 
-    /// The capture as it was prepared before, if it was, from the same photographs.
-    pub(super) fn before<C: DeserializeOwned>(&self, source: &Path, contents: &str) -> Option<C> {
+    /// The capture as it was prepared before, if it was, from the same files.
+    pub(super) fn before<C: DeserializeOwned>(&self, contents: &str) -> Option<C> {
         let bytes = fs::read(self.manifest()).ok()?;
         let manifest: Manifest<C> = serde_json::from_slice(&bytes).ok()?;
-        let of = (manifest.version, manifest.side, &*manifest.source, &*manifest.contents);
-        (of == (VERSION, self.side, source, contents)).then_some(manifest.capture)
+        let of = (manifest.version, manifest.side, &*manifest.contents);
+        (of == (VERSION, self.side, contents)).then_some(manifest.capture)
     }
 
     /// Begins anew.
@@ -65,21 +63,17 @@ impl Preparation {
         let _ = fs::remove_dir_all(&self.folder);
     }
 
-    /// Keeps a capture whose images are all prepared.
-    pub(super) fn keep(
-        &self,
-        source: &Path,
-        contents: &str,
-        capture: &impl Serialize,
-    ) -> io::Result<()> {
-        let manifest = Manifest {
-            version: VERSION,
-            side: self.side,
-            source: source.to_owned(),
-            contents: contents.to_owned(),
-            capture,
-        };
-        write_atomic(&self.manifest(), &serde_json::to_vec(&manifest)?)
+    /// Keeps a capture whose images are all prepared. One with a path that is not UTF-8, which JSON
+    /// cannot hold, is prepared again next time.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub(super) fn keep(&self, contents: &str, capture: &impl Serialize) -> io::Result<()> {
+        let (version, side, contents) = (VERSION, self.side, contents.to_owned());
+        match serde_json::to_vec(&Manifest { version, side, contents, capture }) {
+            Ok(bytes) => write_atomic(&self.manifest(), &bytes),
+            Err(_) => Ok(()),
+        }
     }
 
     fn manifest(&self) -> PathBuf {

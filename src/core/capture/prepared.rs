@@ -8,7 +8,7 @@
 
 use std::fs;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use half::f16;
 use half::slice::HalfFloatSliceExt;
@@ -59,7 +59,8 @@ impl PreparedImage {
         let io = |source| ImageError::Io { path: self.file.clone(), source };
         let bytes = fs::read(&self.file).map_err(io)?;
         let mut image = Image::new(self.width, self.height);
-        if bytes.len() != HEADER + 2 * image.data().len() {
+        let size = [self.width, self.height].map(|length| (length as u32).to_le_bytes()).concat();
+        if bytes.len() != HEADER + 2 * image.data().len() || !bytes.starts_with(&size) {
             let message = format!("{} is not a whole prepared image", self.file.display());
             return Err(ImageError::Damaged { message });
         }
@@ -94,10 +95,11 @@ impl PreparedImage {
         Self { file: PathBuf::new(), width: 0, height: 0 }
     }
 
-    /// Whether the file has the size of the image.
-    pub(super) fn is_whole(&self) -> bool {
+    /// Whether the file is in this folder and has the size of the image.
+    pub(super) fn is_whole_in(&self, folder: &Path) -> bool {
         let bytes = (HEADER + 6 * self.width * self.height) as u64;
-        self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
+        self.file.parent() == Some(folder)
+            && self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
     }
 
     pub(super) fn remove(&self) {

@@ -192,8 +192,8 @@ impl Copy {
     fn write(&self, dir: &Path, view: &PoseView, kind: Kind) -> Result<Option<Mask>, PosesError> {
         let unreadable =
             |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
-        let image = view.prepared.load_at_most(self.size.0.max(self.size.1));
-        let image = image.map_err(|e| unreadable(&e))?;
+        let image = view.prepared.load().map_err(|e| unreadable(&e))?;
+        let image = image.resize_area(self.size.0, self.size.1).to_srgb();
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
@@ -209,6 +209,36 @@ impl Copy {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::PreparedImage;
+    use crate::image::{Image, Linear, Srgb};
+    use crate::mask::{MaskPicture, Masking};
+    use crate::photo_path::PhotoPath;
+
+    #[test]
+    fn a_copy_has_its_planned_size_although_the_prepared_image_was_rounded_too() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let file = folder.path().join("a.png");
+        // An eighth of the photograph: only its proportions count.
+        Image::<Srgb>::new(434, 578).map(|_| 0.5).save(&file).expect("saved");
+        let image = Image::<Linear>::new(1_538, 2_048).map(|_| 0.1);
+        let prepared = PreparedImage::write(&image, folder.path().join("a.half"));
+        let pictures = vec![MaskPicture { file: file.clone(), white_hides: false }];
+        let view = PoseView {
+            name: "a".to_owned(),
+            path: PhotoPath::new("a.png"),
+            prepared: prepared.expect("written"),
+            original: (3_472, 4_624),
+            focal_px: None,
+            masking: Some(Masking { photograph: file.clone(), pictures, alpha: false }),
+            file,
+        };
+        let (dir, cancel) = (folder.path().join("copies"), CancelToken::new());
+        let copies = Copies::write(&dir, &[view], Kind::Small, &cancel).expect("copies");
+        let copy = &copies.copies[0];
+        assert_eq!(copy.size, (420, 560));
+        let written = Image::load(&dir.join(&copy.file)).expect("read");
+        assert_eq!((written.width(), written.height()), copy.size);
+    }
 
     #[test]
     fn a_lens_is_identified_by_its_focal_length() {

@@ -24,7 +24,8 @@ pub struct Options {
     /// still capture.
     #[schemars(schema_with = "setting::schema::<1, 8>")]
     pub rounds: Setting,
-    /// Optimiser steps per round. `auto` is 1,000, or 2,000 in the one round of a still capture.
+    /// Optimiser steps per round. `auto` is 1,000, or 2,000 for a still capture if `rounds` is
+    /// `auto`, too.
     #[schemars(schema_with = "setting::schema::<1, 200_000>")]
     pub steps: Setting,
     /// Longest side of the working images, px; never above the original. `auto` is 560, or 420 if

@@ -65,6 +65,11 @@ impl Exposures {
         }
     }
 
+    /// Forgets a view that left or got another pose: what it shows is to be found again.
+    pub fn forget(&mut self, view: &str) {
+        self.gains.remove(view);
+    }
+
     /// Brings views that a round's scene placed to the exposure of the others. Returns what was
     /// solved for, by the name of the view.
     ///

@@ -27,8 +27,8 @@ use crate::capture::{Capture, CaptureView};
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
 use crate::metrics::Report;
-use crate::poses::Poses;
 use crate::poses::matching::Matching;
+use crate::poses::{PosedView, Poses};
 
 /// A finished run.
 #[derive(Clone, Debug)]
@@ -238,6 +238,8 @@ fn round(
     };
     report::place(report, &poses);
     let exposures = &mut state.exposures;
+    let is_new = |posed: &&PosedView| !state.poses.views.contains(posed);
+    poses.views.iter().filter(is_new).for_each(|posed| exposures.forget(&posed.name));
     let late = exposures.even_late(tools.device, &scene.gaussians, &mut views, capture)?;
     if let Some(found) = &mut report.exposure {
         found.views.extend(late);

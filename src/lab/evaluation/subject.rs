@@ -22,6 +22,13 @@ pub struct Subject {
 }
 
 impl Subject {
+    /// Longest side of its views, px.
+    pub fn longest_side(&self) -> usize {
+        let side = |named: &NamedCamera| named.camera().intrinsics;
+        let sides = self.cameras.iter().map(side).map(|k| k.width.max(k.height));
+        sides.max().unwrap_or(0)
+    }
+
     /// Reads the results of a run.
     ///
     /// # Errors

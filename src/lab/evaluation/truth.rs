@@ -6,7 +6,7 @@ use glam::DVec3;
 
 use fled_core::camera::{Camera, Split};
 use fled_core::cancel::CancelToken;
-use fled_core::capture::{Capture, CaptureError, CaptureView, masks_in};
+use fled_core::capture::{Capture, CaptureError, CaptureView, PREPARED_SIDE, masks_in};
 use fled_core::dataset::GivenPoses;
 use fled_core::event::Silent;
 use fled_core::image::Image;
@@ -97,15 +97,16 @@ pub(super) struct Tie {
 }
 
 impl Truth {
-    /// Reads the poses of a folder of photographs; the photographs themselves are loaded on demand.
-    /// If a photograph has a sharp one of the same name in `gt/` or `HL/`, the latter is the ground
-    /// truth.
+    /// Reads the poses of a folder of photographs, which are prepared under `scratch` for views of
+    /// at most `size` px. If a photograph has a sharp one of the same name in `gt/` or `HL/`, the
+    /// latter is the ground truth.
     ///
     /// # Errors
     /// [`EvaluationError::NoPoses`]; a folder that is not a capture, or poses that cannot be read.
-    pub fn open(folder: &Path, scratch: &Path) -> Result<Self, EvaluationError> {
+    pub fn open(folder: &Path, scratch: &Path, size: usize) -> Result<Self, EvaluationError> {
         let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
-        let capture = Capture::open(folder, scratch).map_err(fault)?;
+        let side = PREPARED_SIDE.max(size);
+        let capture = Capture::open_at(folder, scratch, side).map_err(fault)?;
         let no_poses = || EvaluationError::NoPoses { path: folder.to_owned() };
         let file = capture.poses.as_ref().ok_or_else(no_poses)?;
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();

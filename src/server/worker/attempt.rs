@@ -29,9 +29,6 @@ use crate::validation;
 /// How long to wait for output of other processes in the group after the job's process has ended.
 const DRAIN: Duration = Duration::from_secs(2);
 
-/// Pause before a database operation is repeated because the database is busy.
-const BUSY_PAUSE: Duration = Duration::from_secs(1);
-
 /// Why an attempt's loop ends.
 enum End {
     /// The process ended by itself.
@@ -256,6 +253,8 @@ impl Attempt<'_> {
                 done = self.follow(due) => done?,
                 end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
             }
+            // What the process wrote meanwhile was not read.
+            silence = silence.max(Instant::now() + limits.silence);
         }
     }
 
@@ -361,7 +360,7 @@ impl Attempt<'_> {
             return Err(error);
         }
         tracing::warn!(%error, job = self.lease.job, "the database is busy");
-        tokio::time::sleep(BUSY_PAUSE).await;
+        tokio::time::sleep(super::BUSY_PAUSE).await;
         Ok(())
     }
 
@@ -394,7 +393,13 @@ impl Attempt<'_> {
 
     /// Decides how to settle a process that ended by itself.
     async fn settle(&mut self, status: ExitStatus) -> Result<Settlement> {
-        self.write_pending().await?;
+        if let Some(progress) = self.pending.take() {
+            match self.app.store.advance(&self.lease, &progress).await {
+                // The settlement follows at once.
+                Err(error) if error.is_busy() => {}
+                outcome => outcome?,
+            }
+        }
         match self.last_words.take() {
             Some(LastWords::Finished { best_round }) if status.success() => {
                 self.sync_output().await?;

@@ -37,7 +37,7 @@ fn posed(view: &CaptureView) -> PosedView {
 }
 
 #[test]
-fn each_photograph_is_decoded_once_whoever_reads_it() {
+fn each_photograph_is_decoded_once() {
     let folder = capture();
     let opened = open(folder.path(), PREPARED_SIDE);
     assert_eq!(decodes(folder.path()), 4, "three photographs and a ground truth");
@@ -92,6 +92,37 @@ fn only_accepted_photographs_leave_images() {
     let outcome = Capture::open(&folder.path().join("capture"), &scratch);
     assert!(matches!(outcome, Err(CaptureError::TooFew { accepted: 2, .. })), "{outcome:?}");
     assert!(!scratch.join("prepared").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_name_that_is_not_utf8_is_prepared_each_time() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = capture();
+    let name = std::ffi::OsStr::from_bytes(b"\xff.jpg");
+    fs::write(folder.path().join("capture/images").join(name), jpeg(5)).expect("written");
+    for _ in 0..2 {
+        assert_eq!(open(folder.path(), PREPARED_SIDE).views.len(), 4);
+    }
+}
+
+#[test]
+fn files_stored_in_another_order_are_prepared_again() {
+    let folder = folder(&[]);
+    let (zip, scratch) = (folder.path().join("capture.zip"), folder.path().join("scratch"));
+    let of = |order: [usize; 3]| {
+        let bytes = zipped(&|writer| {
+            order.iter().for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(*i)));
+        });
+        fs::write(&zip, bytes).expect("written");
+        Capture::open(&zip, &scratch).expect("a capture")
+    };
+    let (first, second) = (of([0, 1, 2]), of([2, 1, 0]));
+    assert_eq!(first.fingerprint, second.fingerprint);
+    for view in &second.views {
+        let number: usize = view.name.parse().expect("a number");
+        assert!(fs::read(&view.file).expect("read") == jpeg(number), "{}", view.path);
+    }
 }
 
 #[test]

@@ -83,7 +83,7 @@ fn only_inputs_of_a_run_invalidate_its_record() {
     assert_eq!(
         started_after(|p| {
             p.content["captures"][0]["name"] = json!("vixen");
-            p.content["configurations"][2]["set"] = json!({"rounds": 2});
+            p.content["configurations"][2]["set"] = json!({"steps": 1000, "rounds": "auto"});
         }),
         (0, 0)
     );
