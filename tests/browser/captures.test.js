@@ -111,7 +111,7 @@ both("the form of a new job shows the preset's options and sends those that diff
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), `with options ${width}`);
     const { options, preset } = await server.job(page.url().split("/").pop());
-    assert.deepEqual([preset, options.rounds, options.size, options.steps], ["preview", 3, 280, 1000]);
+    assert.deepEqual([preset, options.rounds, options.size, options.steps], ["preview", 3, 280, "auto"]);
     await seen(part(page, "Photographs"), "broken.jpg");
   }, width));
 
