@@ -219,9 +219,9 @@ fn a_body_that_does_not_fit_is_refused_in_plain_words() {
         assert_eq!(refused.json()["detail"], detail, "{body}");
         assert_eq!(refused.header("content-type"), "application/problem+json");
     }
-    let options = json!({ "capture_id": server.capture(3), "options": { "rounds": "two" } });
+    let options = json!({ "capture_id": server.capture(3), "options": { "sh_degree": "two" } });
     let refused = server.post_json("/v1/jobs", &options, &[]).expect(422).json();
-    let detail = "option `rounds`: must be a whole number from 0 to 4294967295";
+    let detail = "option `sh_degree`: must be a whole number from 0 to 4294967295";
     assert_eq!(refused["detail"], detail);
-    assert_eq!(refused["pointer"], "/options/rounds");
+    assert_eq!(refused["pointer"], "/options/sh_degree");
 }

@@ -233,7 +233,7 @@ fn a_successful_job_can_be_retried_with_other_options() {
         |options: serde_json::Value| server.post_json(&path, &json!({ "options": options }), &[]);
     server.post(&path, b"", &[]).expect(409);
     retry(json!({})).expect(409);
-    let same = json!({ "rounds": before["rounds"] });
+    let same = json!({ "rounds": before["options"]["rounds"] });
     retry(same).expect(409);
     let wrong = retry(json!({ "rounds": 99 })).expect(422).json();
     assert_eq!(wrong["pointer"], "/options/rounds");
