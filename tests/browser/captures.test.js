@@ -90,7 +90,7 @@ both("an option's error appears at its field and focuses it", async (width) =>
     await form.getByLabel("Random seed", { exact: true }).fill("1.5");
     await form.getByLabel("Image size", { exact: true }).fill("9000");
     await button(form, "Run").click();
-    await seen(form.getByRole("alert"), "Training steps: enter a whole number from 1 to 200,000.");
+    await seen(form.getByRole("alert"), "Training steps: enter a whole number from 1 to 200,000, or auto.");
     await seen(form.getByRole("alert"), "Random seed: enter a whole number from 0.");
     await seen(form.getByRole("alert"), "Image size: enter a whole number from 64 to 4,096, or auto.");
     assert.equal(await form.getByLabel("Image size", { exact: true }).evaluate((node) => node === document.activeElement), true);
