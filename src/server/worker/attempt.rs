@@ -247,6 +247,7 @@ impl Attempt<'_> {
                     None => return self.timed_out("ran", limits.wall).await,
                 },
             };
+            let begun = Instant::now();
             // Events that end the attempt are handled even if the database or the blob store is
             // slow.
             tokio::select! {
@@ -254,7 +255,7 @@ impl Attempt<'_> {
                 end = stopped(app, &job, cancel, heartbeat) => return end.map(End::Stop),
             }
             // What the process wrote meanwhile was not read.
-            silence = silence.max(Instant::now() + limits.silence);
+            silence += begun.elapsed();
         }
     }
 
