@@ -69,7 +69,7 @@ pub struct Capture {
     pub fingerprint: String,
 }
 
-/// What an upload consists of, without preparing it.
+/// The assessment of an upload whose images are not prepared.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inspection {
     /// Number of photographs that can be used.

@@ -24,7 +24,7 @@ pub(super) struct Preparation {
 struct Manifest<C> {
     version: u32,
     side: usize,
-    /// What was in it.
+    /// A digest of the files of the capture.
     contents: String,
     capture: C,
 }
@@ -48,7 +48,7 @@ impl Preparation {
         (of == (VERSION, self.side, contents)).then_some(manifest.capture)
     }
 
-    /// Begins anew.
+    /// Creates the folder, empty.
     pub(super) fn begin(&self) -> io::Result<()> {
         match fs::remove_dir_all(&self.folder) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),

@@ -103,7 +103,7 @@ impl PreparedImage {
     }
 
     pub(super) fn remove(&self) {
-        // One that stays is in nobody's way.
+        // A leftover file does no harm: the manifest does not name it.
         let _ = fs::remove_file(&self.file);
     }
 }

@@ -65,7 +65,7 @@ impl Exposures {
         }
     }
 
-    /// Forgets a view that left or got another pose: what it shows is to be found again.
+    /// Forgets the exposure of a view whose pose changed, so that it is solved again.
     pub fn forget(&mut self, view: &str) {
         self.gains.remove(view);
     }
