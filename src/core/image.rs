@@ -3,6 +3,7 @@
 //! Reading takes JPEG, PNG, WebP, TIFF and HEIC of 8 to 16 bit, turned upright ([`decode`]);
 //! writing gives PNG and JPEG, whole or not at all ([`encode`]). Everything between stays `f32`.
 
+mod colour;
 mod decode;
 mod encode;
 mod exif;

@@ -2,15 +2,16 @@
 //!
 //! Conversion of each input: grey is repeated in all three channels; palettes are looked up; alpha
 //! is composited over black, in the encoded values; CMYK is converted without a profile; 16 bits
-//! stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored and values are taken as
-//! sRGB, but a PQ or HLG HEIC is converted to sRGB ([`super::hdr`]); EXIF orientation is applied
-//! once, here and nowhere else, or a HEIC's own instead. Floating-point TIFF is refused, as its
-//! range and encoding are unknown.
+//! stay 16 bits deep (`v / 65535`); colour profiles are applied ([`super::colour`]), and a PQ or
+//! HLG HEIC is converted to sRGB ([`super::hdr`]); EXIF orientation is applied once, here and
+//! nowhere else, or a HEIC's own instead. Floating-point TIFF is refused, as its range and encoding
+//! are unknown.
 
 mod error;
 mod heic;
 mod jpeg;
 mod pages;
+mod profile;
 pub(crate) mod shares;
 
 use std::fs::{self, File};
@@ -22,10 +23,11 @@ use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use self::heic::Heic;
+use self::profile::Declared;
+use super::colour::Colour;
 use super::hdr::HdrTransfer;
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
-use super::transfer::srgb_to_linear;
 use super::{Image, Linear, Shot, Srgb, exif};
 
 pub use self::error::{ImageError, MAX_FILE_BYTES, MAX_PIXELS};
@@ -53,6 +55,10 @@ pub struct Header {
     pub hdr: Option<HdrTransfer>,
     /// Whether the pixels have alpha.
     pub has_alpha: bool,
+    /// The name of the colour profile that is applied while reading, unless the values are sRGB.
+    pub profile: Option<String>,
+    /// Why a colour profile cannot be applied; the values are taken as sRGB.
+    pub profile_fault: Option<String>,
 }
 
 /// Reads a file's header and checks it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
@@ -70,6 +76,9 @@ impl Image<Srgb> {
     /// [`ImageError`]; nothing is decoded if the header exceeds the limits.
     pub fn load(path: &Path) -> Result<Self, ImageError> {
         let samples = Samples::decode(path)?;
+        if !samples.colour.is_srgb() {
+            return Ok(samples.light(usize::MAX).to_srgb());
+        }
         let table = samples.table(|v| v);
         let mut image = Self::new(samples.width, samples.height);
         let width = samples.width;
@@ -98,17 +107,7 @@ impl Image<Linear> {
     /// # Errors
     /// As [`Image::load`].
     pub fn load_light(path: &Path, long_side: usize) -> Result<Self, ImageError> {
-        let samples = Samples::decode(path)?;
-        let from = (samples.width, samples.height);
-        let (width, height) = at_most(from.0, from.1, long_side.max(1));
-        let table = samples.table(srgb_to_linear);
-        let average = AreaAverage::new(from, (width, height));
-        let mut image = Self::new(width, height);
-        for channel in 0..3 {
-            let row = |y: usize, buffer: &mut [f32]| samples.row(channel, y, &table, buffer);
-            average.plane(from.0, row, image.plane_mut(channel));
-        }
-        Ok(image)
+        Ok(Samples::decode(path)?.light(long_side))
     }
 }
 
@@ -117,6 +116,7 @@ struct Opened {
     decoder: Box<dyn ImageDecoder>,
     orientation: Orientation,
     header: Header,
+    colour: Colour,
     is_jpeg: bool,
 }
 
@@ -149,7 +149,9 @@ impl Opened {
                 file.read_to_end(&mut bytes).map_err(io)?;
                 let heic = Heic::open(bytes)?;
                 let (beside, hdr) = (heic.bytes_beside(), heic.hdr());
-                let mut opened = Self::with_decoder(Box::new(heic), None, beside)?;
+                let srgb = hdr.map(|_| Colour::srgb());
+                let declared = srgb.or_else(|| heic.colour()).map(Declared::Colour);
+                let mut opened = Self::with_decoder(Box::new(heic), None, beside, declared)?;
                 opened.header.hdr = hdr;
                 return Ok(opened);
             }
@@ -160,11 +162,14 @@ impl Opened {
         file.rewind().map_err(io)?;
         match format {
             ImageFormat::Tiff => {
-                Self::with_reader(pages::Paged::open(file.into_inner()).map_err(io)?, format, 0)
+                let mut file = pages::Paged::open(file.into_inner()).map_err(io)?;
+                let declared = profile::of_tiff(&mut file).map(Declared::Icc);
+                file.rewind().map_err(io)?;
+                Self::with_reader(file, format, 0, declared)
             }
             // The decoder and the check each hold the whole file.
             ImageFormat::Jpeg => {
-                Self::with_reader(file, format, 2 * metadata.len()).map_err(|error| {
+                Self::with_reader(file, format, 2 * metadata.len(), None).map_err(|error| {
                     // The decoder does not name most unsupported kinds.
                     match jpeg::check(&fs::read(path).unwrap_or_default()) {
                         Err(kind @ ImageError::Unsupported { .. }) => kind,
@@ -172,7 +177,12 @@ impl Opened {
                     }
                 })
             }
-            _ => Self::with_reader(file, format, 0),
+            ImageFormat::Png => {
+                let declared = profile::of_png(&mut file).map(Declared::Colour);
+                file.rewind().map_err(io)?;
+                Self::with_reader(file, format, 0, declared)
+            }
+            _ => Self::with_reader(file, format, 0, None),
         }
     }
 
@@ -180,20 +190,23 @@ impl Opened {
         file: impl BufRead + Seek + 'static,
         format: ImageFormat,
         beside: u64,
+        declared: Option<Declared>,
     ) -> Result<Self, ImageError> {
         let mut reader = ImageReader::with_format(file, format);
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_DECODE_BYTES);
         reader.limits(limits);
         let decoder = reader.into_decoder().map_err(|error| image_error(&error))?;
-        Self::with_decoder(Box::new(decoder), Some(format), beside)
+        Self::with_decoder(Box::new(decoder), Some(format), beside, declared)
     }
 
     /// `format`: none for HEIC. `beside`: bytes that decoding needs besides the samples.
+    /// `declared`: colours that the decoder does not know of.
     fn with_decoder(
         mut decoder: Box<dyn ImageDecoder>,
         format: Option<ImageFormat>,
         beside: u64,
+        declared: Option<Declared>,
     ) -> Result<Self, ImageError> {
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -216,6 +229,11 @@ impl Opened {
         // A rotated picture is a second copy.
         let copies = if orientation == Orientation::NoTransforms { 1 } else { 2 };
         let has_alpha = decoder.color_type().has_alpha();
+        let is_jpeg = format == Some(ImageFormat::Jpeg);
+        let (colour, profile_fault) =
+            profile::of(decoder.as_mut(), declared, exif.as_ref().filter(|_| is_jpeg));
+        // Tables convert into a copy of 16 bits.
+        let copies = if colour.has_tables() { copies + 4 } else { copies };
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
         let decoded_bytes = decoded_bytes.saturating_add(beside);
         let (width, height) = match orientation.to_exif() {
@@ -236,8 +254,11 @@ impl Opened {
                 decoded_bytes,
                 hdr: None,
                 has_alpha,
+                profile: colour.name().map(str::to_owned),
+                profile_fault,
             },
-            is_jpeg: format == Some(ImageFormat::Jpeg),
+            colour,
+            is_jpeg,
         })
     }
 }
@@ -248,12 +269,23 @@ struct Samples {
     height: usize,
     channels: usize,
     values: Values,
+    colour: Colour,
 }
 
 /// Samples at the file's bit depth.
 enum Values {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
+}
+
+impl Values {
+    /// With 16 bits.
+    fn deep(self) -> Vec<u16> {
+        match self {
+            Self::Eight(values) => values.into_iter().map(|v| 257 * u16::from(v)).collect(),
+            Self::Sixteen(values) => values,
+        }
+    }
 }
 
 impl Samples {
@@ -272,8 +304,31 @@ impl Samples {
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;
-            Ok(Self { width, height, channels, values })
+            let colour = opened.colour;
+            if !colour.has_tables() {
+                return Ok(Self { width, height, channels, values, colour });
+            }
+            let converted = colour.table_converted(&values.deep());
+            let damaged = |reason| ImageError::Damaged { message: format!("its profile: {reason}") };
+            let (values, colour) = (Values::Sixteen(converted.map_err(damaged)?), Colour::srgb());
+            Ok(Self { width, height, channels, values, colour })
         })
+    }
+
+    /// With the long side reduced to at most `long_side` px, in linear light.
+    fn light(&self, long_side: usize) -> Image<Linear> {
+        let from = (self.width, self.height);
+        let (width, height) = at_most(from.0, from.1, long_side.max(1));
+        let average = AreaAverage::new(from, (width, height));
+        let mut image = Image::new(width, height);
+        for channel in 0..3 {
+            let table = self.table(|v| self.colour.light(channel, v));
+            let row = |y: usize, buffer: &mut [f32]| self.row(channel, y, &table, buffer);
+            average.plane(from.0, row, image.plane_mut(channel));
+        }
+        // Averages of light may be mixed as well as the light itself.
+        self.colour.bring_to_srgb(&mut image);
+        image
     }
 
     /// The meaning of every sample value, after `f`.

@@ -14,6 +14,7 @@ use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, ImageResult};
 
 use super::error::{ImageError, MAX_PIXELS};
+use crate::image::colour::Colour;
 use crate::image::hdr::{HdrTransfer, primaries_to_srgb};
 
 /// Coded margin allowed beyond the picture on each side, px: codecs code whole blocks.
@@ -36,6 +37,8 @@ pub(super) struct Heic {
     is_deep: bool,
     /// For a larger brightness range, its transfer function and primaries.
     hdr: Option<(HdrTransfer, u16)>,
+    coding: Option<Coding>,
+    icc: Option<Vec<u8>>,
     exif: Option<Vec<u8>>,
 }
 
@@ -72,7 +75,15 @@ impl Heic {
         let is_deep = hdr.is_some() || config.is_some_and(|config| config.bit_depth_luma > 8);
         // Unreadable EXIF does not affect the photograph.
         let exif = file.exif(file.primary_id).ok().flatten();
-        Ok(Self { is_deep, size, coded: whole, hdr, exif, bytes })
+        let icc = icc(&file, &[file.primary_id, first]);
+        Ok(Self { is_deep, size, coded: whole, hdr, coding, icc, exif, bytes })
+    }
+
+    /// The colours that the file declares by code points.
+    pub(super) fn colour(&self) -> Option<Colour> {
+        let code = |code: u16| u8::try_from(code).ok();
+        let coding = self.coding.filter(|_| self.icc.is_none())?;
+        Colour::of_code_points(code(coding.primaries)?, code(coding.transfer)?)
     }
 
     /// The file's larger brightness range, if any.
@@ -154,6 +165,10 @@ impl ImageDecoder for Heic {
 
     fn exif_metadata(&mut self) -> ImageResult<Option<Vec<u8>>> {
         Ok(self.exif.clone())
+    }
+
+    fn icc_profile(&mut self) -> ImageResult<Option<Vec<u8>>> {
+        Ok(self.icc.clone())
     }
 
     fn read_image(self, out: &mut [u8]) -> ImageResult<()> {
@@ -301,6 +316,17 @@ fn coding(file: &HeifFile<'_>, items: &[u32]) -> Result<Option<Coding>, Error> {
         }
     }
     Ok(None)
+}
+
+/// The ICC profile of the first of these items that has one.
+fn icc(file: &HeifFile<'_>, items: &[u32]) -> Option<Vec<u8>> {
+    let of = |item: &u32| {
+        file.item_properties(*item).ok()?.find_map(|property| match property {
+            Property::Color(ColorInfo::Icc(profile)) => Some(profile.clone()),
+            _ => None,
+        })
+    };
+    items.iter().find_map(of)
 }
 
 /// Colour parameters of the coded stream; its decoder reports damaged ones.

@@ -76,6 +76,27 @@ fn ten_bits_stay_ten_bits() {
 }
 
 #[test]
+fn its_icc_profile_is_applied() {
+    let folder = TempDir::new().expect("folder");
+    let icc = moxcms::ColorProfile::new_display_p3().encode().expect("a profile");
+    let metadata = Metadata { icc_profile: Some(icc), ..Metadata::default() };
+    for depth in [8, 10] {
+        let top = (1_u32 << depth) - 1;
+        let value = |v: u32| (v * top / 255) as u16;
+        let patch = [value(200), value(120), value(60), top as u16];
+        let picture = heifer::Image::filled(96, 64, depth, patch);
+        let path = file(&folder, &encoded(&picture, &metadata));
+        let image = Image::<Srgb>::load(&path).expect("loaded");
+        // By tests/golden/colour.py.
+        for (value, wanted) in image.get(48, 32).into_iter().zip([213.0, 115.0, 42.4]) {
+            assert!((255.0 * value - wanted).abs() < 2.0, "{depth} bits: {value} {wanted}");
+        }
+        let header = read_header(&path).expect("header");
+        assert!(header.profile.is_some_and(|name| name.contains("P3")));
+    }
+}
+
+#[test]
 fn its_exif_focal_length_is_used_and_its_exif_orientation_ignored() {
     let folder = TempDir::new().expect("folder");
     let exif = block(&[

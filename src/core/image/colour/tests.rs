@@ -1,0 +1,227 @@
+//! Golden light of patches in files with a profile. Computed by the definitions of the colour
+//! spaces (chromaticities, Bradford adaptation) in tests/golden/colour.py; Little CMS agrees.
+
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+use ::image::{ExtendedColorType, ImageEncoder};
+use moxcms::ToneReprCurve;
+
+use super::*;
+use crate::image::exif::tests::block;
+use crate::image::{Srgb, read_header};
+
+const PATCHES: [[u8; 3]; 4] = [[200, 120, 60], [20, 40, 30], [128, 128, 128], [30, 220, 40]];
+
+const P3: [[f32; 3]; 4] = [
+    [0.66525, 0.17143, 0.02352],
+    [0.0038, 0.02182, 0.01245],
+    [0.21586, 0.21586, 0.21586],
+    [-0.14508, 0.74525, -0.03323],
+];
+const ADOBE: [[f32; 3]; 4] = [
+    [0.74364, 0.19058, 0.0351],
+    [-0.0016, 0.01701, 0.00869],
+    [0.21964, 0.21964, 0.21964],
+    [-0.27528, 0.72276, -0.01328],
+];
+const PROPHOTO: [[f32; 3]; 4] = [
+    [1.10372, 0.16917, 0.04092],
+    [-0.01162, 0.0415, 0.01912],
+    [0.2892, 0.2892, 0.2892],
+    [-0.52556, 0.93933, -0.07627],
+];
+const LINEAR: [[f32; 3]; 4] = [
+    [0.78431, 0.47059, 0.23529],
+    [0.07843, 0.15686, 0.11765],
+    [0.50196, 0.50196, 0.50196],
+    [0.11765, 0.86275, 0.15686],
+];
+const SRGB: [[f32; 3]; 4] = [
+    [0.57758, 0.18782, 0.04519],
+    [0.007, 0.02122, 0.01298],
+    [0.21586, 0.21586, 0.21586],
+    [0.01298, 0.71569, 0.02122],
+];
+
+/// Blocks of 16 px, so that no chroma is shared between them.
+const BLOCK: usize = 16;
+
+fn pixels(deep: bool) -> Vec<u8> {
+    let pixel = |x: usize| PATCHES[x / BLOCK];
+    let row = || (0..4 * BLOCK).flat_map(pixel);
+    let all = (0..BLOCK).flat_map(|_| row());
+    if deep { all.flat_map(|v| (257 * u16::from(v)).to_ne_bytes()).collect() } else { all.collect() }
+}
+
+fn linear_srgb() -> ColorProfile {
+    let mut profile = ColorProfile::new_srgb();
+    let curve = Some(ToneReprCurve::Lut(Vec::new()));
+    [profile.red_trc, profile.green_trc, profile.blue_trc] = [curve.clone(), curve.clone(), curve];
+    profile.cicp = None;
+    profile
+}
+
+/// A PNG, JPEG, WebP or TIFF by its extension.
+fn written(folder: &Path, name: &str, profile: &ColorProfile, deep: bool) -> PathBuf {
+    let icc = profile.encode().expect("a profile");
+    let (width, height) = (4 * BLOCK as u32, BLOCK as u32);
+    let colour = if deep { ExtendedColorType::Rgb16 } else { ExtendedColorType::Rgb8 };
+    let mut bytes = Vec::new();
+    let samples = pixels(deep);
+    macro_rules! write {
+        ($encoder:expr) => {{
+            let mut encoder = $encoder;
+            encoder.set_icc_profile(icc).expect("takes a profile");
+            encoder.write_image(&samples, width, height, colour).expect("encoded");
+        }};
+    }
+    match name.rsplit_once('.').map_or("", |(_, extension)| extension) {
+        "png" => write!(::image::codecs::png::PngEncoder::new(&mut bytes)),
+        "jpg" => write!(::image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 100)),
+        "webp" => write!(::image::codecs::webp::WebPEncoder::new_lossless(&mut bytes)),
+        _ => bytes = tiff(&icc, &samples, deep),
+    }
+    let path = folder.join(name);
+    fs::write(&path, bytes).expect("written");
+    path
+}
+
+fn tiff(icc: &[u8], samples: &[u8], deep: bool) -> Vec<u8> {
+    use tiff::encoder::{TiffEncoder, colortype};
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).expect("a TIFF");
+    let (width, height) = (4 * BLOCK as u32, BLOCK as u32);
+    let tag = tiff::tags::Tag::IccProfile;
+    if deep {
+        let samples: Vec<u16> =
+            samples.chunks_exact(2).map(|v| u16::from_ne_bytes([v[0], v[1]])).collect();
+        let mut image = encoder.new_image::<colortype::RGB16>(width, height).expect("an image");
+        image.encoder().write_tag(tag, icc).expect("a tag");
+        image.write_data(&samples).expect("encoded");
+    } else {
+        let mut image = encoder.new_image::<colortype::RGB8>(width, height).expect("an image");
+        image.encoder().write_tag(tag, icc).expect("a tag");
+        image.write_data(samples).expect("encoded");
+    }
+    bytes.into_inner()
+}
+
+/// The largest error, in levels of 255 as sRGB: the middle of each block against its golden light.
+fn error(path: &Path, golden: &[[f32; 3]; 4]) -> f32 {
+    let light = Image::<Linear>::load_light(path, usize::MAX).expect("read");
+    let whole = Image::<Srgb>::load(path).expect("read");
+    let mut worst = 0.0_f32;
+    for (block, wanted) in golden.iter().enumerate() {
+        let at = (block * BLOCK + BLOCK / 2, BLOCK / 2);
+        let wanted = wanted.map(crate::image::linear_to_srgb);
+        let light = light.get(at.0, at.1).map(crate::image::linear_to_srgb);
+        let whole = whole.get(at.0, at.1);
+        for channel in 0..3 {
+            worst = worst.max((light[channel] - wanted[channel]).abs());
+            worst = worst.max((whole[channel] - wanted[channel]).abs());
+        }
+    }
+    255.0 * worst
+}
+
+#[test]
+fn patches_in_every_colour_space_and_format_have_their_golden_light() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spaces = [
+        ("p3", ColorProfile::new_display_p3(), P3),
+        ("adobe", ColorProfile::new_adobe_rgb(), ADOBE),
+        ("prophoto", ColorProfile::new_pro_photo_rgb(), PROPHOTO),
+        ("linear", linear_srgb(), LINEAR),
+        ("srgb", ColorProfile::new_srgb(), SRGB),
+    ];
+    for (space, profile, golden) in &spaces {
+        for (format, deep, tolerance) in [
+            ("png", false, 0.5),
+            ("png", true, 0.5),
+            ("tif", false, 0.5),
+            ("tif", true, 0.5),
+            ("webp", false, 0.5),
+            ("jpg", false, 6.0),
+        ] {
+            // ProPhoto's primaries amplify a JPEG's rounding in the dark.
+            let name = format!("{space}-{deep}.{format}");
+            let path = written(folder.path(), &name, profile, deep);
+            let worst = error(&path, golden);
+            assert!(worst < tolerance, "{name}: {worst} levels off");
+            let header = read_header(&path).expect("a header");
+            assert_eq!(header.profile.is_some(), *space != "srgb", "{name}: {:?}", header.profile);
+            assert_eq!(header.profile_fault, None, "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_broken_profile_is_named_and_the_values_are_srgb() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.png");
+    let mut bytes = Vec::new();
+    let mut encoder = ::image::codecs::png::PngEncoder::new(&mut bytes);
+    encoder.set_icc_profile(vec![7; 200]).expect("takes a profile");
+    let size = (4 * BLOCK as u32, BLOCK as u32);
+    encoder.write_image(&pixels(false), size.0, size.1, ExtendedColorType::Rgb8).expect("png");
+    fs::write(&path, bytes).expect("written");
+    let header = read_header(&path).expect("a header");
+    assert!(header.profile_fault.is_some_and(|fault| !fault.is_empty()));
+    assert_eq!(header.profile, None);
+    assert!(error(&path, &SRGB) < 0.5);
+}
+
+#[test]
+fn a_grey_profile_is_a_curve_and_one_for_rgb_is_refused_there() {
+    let grey = ColorProfile::new_gray_with_gamma(2.2).encode().expect("a profile");
+    let colour = Colour::of_icc(&grey, true).expect("a grey profile");
+    assert!((colour.light(0, 0.5) - 0.5_f32.powf(2.2)).abs() < 1e-3, "{}", colour.light(0, 0.5));
+    let fault = Colour::of_icc(&grey, false).err().expect("not for RGB");
+    assert!(fault.contains("the picture is RGB"), "{fault}");
+}
+
+#[test]
+fn png_chunks_code_points_and_exif_declare_colours_too() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.png");
+    let png = |declare: &dyn Fn(&mut png::Info<'_>)| {
+        let mut bytes = Vec::new();
+        let mut info = png::Info::with_size(4 * BLOCK as u32, BLOCK as u32);
+        (info.color_type, info.bit_depth) = (png::ColorType::Rgb, png::BitDepth::Eight);
+        declare(&mut info);
+        let encoder = png::Encoder::with_info(&mut bytes, info).expect("an encoder");
+        let mut writer = encoder.write_header().expect("a header");
+        writer.write_image_data(&pixels(false)).expect("encoded");
+        writer.finish().expect("ended");
+        fs::write(&path, bytes).expect("written");
+    };
+    png(&|info| info.source_gamma = Some(png::ScaledFloat::new(1.0)));
+    assert!(error(&path, &LINEAR) < 0.5, "gAMA of linear light");
+    png(&|info| info.source_gamma = Some(png::ScaledFloat::new(0.45455)));
+    assert!(error(&path, &SRGB) < 0.5, "the usual gAMA is sRGB");
+    png(&|info| {
+        let xy = [(0.3127, 0.329), (0.68, 0.32), (0.265, 0.69), (0.15, 0.06)];
+        let of = png::SourceChromaticities::new(xy[0], xy[1], xy[2], xy[3]);
+        info.source_chromaticities = Some(of);
+    });
+    assert!(error(&path, &P3) < 0.5, "cHRM of Display P3");
+    let p3 = Colour::of_code_points(12, 13).expect("Display P3");
+    assert_eq!(p3.name(), Some("Display P3"));
+    assert!(Colour::of_code_points(1, 13).expect("sRGB").is_srgb());
+
+    let exif = block(&[
+        (::exif::Tag::ColorSpace, ::exif::Value::Short(vec![65_535])),
+        (::exif::Tag::InteroperabilityIndex, ::exif::Value::Ascii(vec![b"R03".to_vec()])),
+    ]);
+    let mut bytes = Vec::new();
+    let mut encoder = ::image::codecs::jpeg::JpegEncoder::new_with_quality(&mut bytes, 100);
+    encoder.set_exif_metadata(exif).expect("takes EXIF");
+    let size = (4 * BLOCK as u32, BLOCK as u32);
+    encoder.write_image(&pixels(false), size.0, size.1, ExtendedColorType::Rgb8).expect("a JPEG");
+    let path = folder.path().join("a.jpg");
+    fs::write(&path, bytes).expect("written");
+    assert!(error(&path, &ADOBE) < 6.0, "a camera's Adobe RGB");
+    assert!(read_header(&path).expect("a header").profile.expect("named").contains("Adobe"));
+}

@@ -1,0 +1,81 @@
+//! Where each format says what its colours are.
+
+use std::io::{BufRead, Read, Seek};
+
+use exif::{Exif, In, Tag, Value};
+use image::ImageDecoder;
+use tiff::decoder::{Decoder, Limits};
+
+use crate::image::colour::Colour;
+
+/// Largest ICC profile of a TIFF, bytes; those of printers have half a mebibyte.
+const LARGEST_PROFILE: usize = 4 << 20;
+
+/// What a container declares of its colours that its decoder does not know of.
+pub(super) enum Declared {
+    Colour(Colour),
+    /// An ICC profile.
+    Icc(Vec<u8>),
+}
+
+/// The colours of a picture, and why its ICC profile is not applied, if it is not. What the
+/// container declares comes first, then the decoder's ICC profile, then the cameras' mark of Adobe
+/// RGB in EXIF (DCF 2.0: "R03"), which they write in place of a profile.
+pub(super) fn of(
+    decoder: &mut dyn ImageDecoder,
+    declared: Option<Declared>,
+    exif: Option<&Exif>,
+) -> (Colour, Option<String>) {
+    let is_grey = !decoder.color_type().has_color();
+    let icc = match declared {
+        Some(Declared::Colour(colour)) => return (colour, None),
+        Some(Declared::Icc(bytes)) => Ok(Some(bytes)),
+        None => decoder.icc_profile(),
+    };
+    match icc {
+        Ok(Some(bytes)) => match Colour::of_icc(&bytes, is_grey) {
+            Ok(colour) => (colour, None),
+            Err(reason) => (Colour::srgb(), Some(reason)),
+        },
+        Ok(None) if exif.is_some_and(is_adobe_rgb) && !is_grey => (Colour::adobe_rgb(), None),
+        Ok(None) => (Colour::srgb(), None),
+        Err(error) => (Colour::srgb(), Some(error.to_string())),
+    }
+}
+
+fn is_adobe_rgb(exif: &Exif) -> bool {
+    let index = exif.get_field(Tag::InteroperabilityIndex, In::PRIMARY);
+    let is_r03 = |value: &Value| match value {
+        Value::Ascii(texts) => texts.iter().any(|text| text.starts_with(b"R03")),
+        _ => false,
+    };
+    index.is_some_and(|field| is_r03(&field.value))
+}
+
+/// The colours of a PNG by other chunks than `iCCP`: `cICP` comes before it, `gAMA` and `cHRM`
+/// after it and after `sRGB`. `None` leaves them to the profile, if any.
+pub(super) fn of_png(file: &mut (impl BufRead + Seek)) -> Option<Colour> {
+    // A broken header is for the decoder to report.
+    let reader = png::Decoder::new(file).read_info().ok()?;
+    let info = reader.info();
+    if let Some(points) = info.coding_independent_code_points {
+        return Colour::of_code_points(points.color_primaries, points.transfer_function);
+    }
+    if info.icc_profile.is_some() || info.srgb.is_some() {
+        return None;
+    }
+    let gamma = info.gama_chunk.map(|gamma| gamma.into_value());
+    let chromaticities = info.chrm_chunk.map(|of| {
+        [of.white, of.red, of.green, of.blue].map(|(x, y)| [x.into_value(), y.into_value()])
+    });
+    (gamma.is_some() || chromaticities.is_some()).then(|| Colour::of_gamma(gamma, chromaticities))
+}
+
+/// The ICC profile of a TIFF's first page, which the picture's decoder leaves out if it is large
+/// against the picture.
+pub(super) fn of_tiff(file: &mut (impl Read + Seek)) -> Option<Vec<u8>> {
+    let mut limits = Limits::default();
+    limits.ifd_value_size = 64 * LARGEST_PROFILE;
+    let mut decoder = Decoder::new(file).ok()?.with_limits(limits);
+    decoder.get_tag_u8_vec(tiff::tags::Tag::IccProfile).ok()
+}
