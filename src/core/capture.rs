@@ -26,6 +26,7 @@ mod twins;
 mod versions;
 pub mod video;
 mod watch;
+mod white_balances;
 
 use std::path::{Path, PathBuf};
 

@@ -39,6 +39,12 @@ pub struct Gains {
 }
 
 impl Gains {
+    /// From [`Gains::exposure`] and [`Gains::tint`].
+    pub fn of(exposure: f64, [red, blue]: [f64; 2]) -> Self {
+        let green = exposure - (red + blue) / 3.0;
+        Self { stops: [green + red, green, green + blue] }
+    }
+
     /// The exposure: the mean of the channels, stops.
     pub fn exposure(&self) -> f64 {
         self.stops.iter().sum::<f64>() / 3.0

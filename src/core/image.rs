@@ -1,6 +1,6 @@
 //! Images as planar `f32`, with their transfer function in the type.
 //!
-//! Reading takes JPEG, PNG, WebP, TIFF and HEIC of 8 to 16 bit, turned upright ([`decode`]);
+//! Reading takes JPEG, PNG, WebP, TIFF, HEIC and raw files, turned upright ([`decode`]);
 //! writing gives PNG and JPEG, whole or not at all ([`encode`]). Everything between stays `f32`.
 
 mod colour;
@@ -8,6 +8,7 @@ mod decode;
 mod encode;
 mod exif;
 pub(crate) mod hdr;
+mod raw;
 mod resize;
 mod signature;
 mod transfer;
@@ -24,6 +25,7 @@ pub use exif::Shot;
 #[cfg(test)]
 pub(crate) use exif::tests::block as exif_block;
 pub use hdr::HdrTransfer;
+pub use raw::RawHeader;
 pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;
 pub use transfer::{linear_to_srgb, srgb_to_linear};

@@ -14,7 +14,7 @@ mod viewpoint;
 
 use std::path::{Path, PathBuf};
 
-pub use viewpoint::{PictureSize, Viewpoint, ViewpointError};
+pub use viewpoint::{PictureSize, Viewpoint, ViewpointError, view_named};
 
 /// Name of the folder for resumed runs only.
 const WORK: &str = "work";

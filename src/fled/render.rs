@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 
 use fled_core::camera::{Camera, NamedCamera};
 use fled_core::device::Device;
+use fled_core::exposure::Gains;
 use fled_core::gaussians::ply;
+use fled_core::metrics::Report;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
-use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint};
+use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint, view_named};
 
 use crate::failure::{Failure, io};
 
@@ -38,6 +40,9 @@ pub struct Args {
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops,
         conflicts_with = "depth")]
     ev: f64,
+    /// Gives the picture the exposure and tint of the view's photograph, which the scene evens.
+    #[arg(long, requires = "view", conflicts_with = "depth")]
+    as_photographed: bool,
     /// Uses this round's scene instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
@@ -84,9 +89,29 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         let depth = renderer.depth(&gaussians, &camera).map_err(render)?;
         depth.picture()
     } else {
-        renderer.render(&gaussians, &camera, gaussians.sh_degree).map_err(render)?.exposed(args.ev)
+        let delivered =
+            renderer.render(&gaussians, &camera, gaussians.sh_degree).map_err(render)?;
+        gains(args, &run, &cameras)?.expose(&delivered).exposed(args.ev)
     };
     picture.save(&args.output).map_err(|e| Failure::new(ErrorKind::Io, e))
+}
+
+/// The exposure that the picture gets: that of the view's photograph, relative to the scene's.
+fn gains(args: &Args, run: &RunFolder, cameras: &[NamedCamera]) -> Result<Gains, Failure> {
+    let Some(name) = args.from.view.as_ref().filter(|_| args.as_photographed) else {
+        return Ok(Gains::default());
+    };
+    let view = view_named(name, cameras).map_err(Failure::usage)?;
+    let path = run.metrics();
+    let bytes = std::fs::read(&path).map_err(io(&path))?;
+    let report: Report = serde_json::from_slice(&bytes)
+        .map_err(|e| Failure::new(ErrorKind::BadInput, format!("{}: {e}", path.display())))?;
+    let Some(exposure) = report.exposure else {
+        return Err(Failure::usage("the run left the photographs as taken (exposure=as_taken)"));
+    };
+    let of_view = exposure.views.get(&view.name);
+    Ok(of_view
+        .map_or_else(Gains::default, |of| Gains::of(of.stops, of.tint).scaled(exposure.share)))
 }
 
 /// Parses stops of exposure.

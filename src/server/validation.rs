@@ -45,6 +45,9 @@ pub struct Assessment {
     /// Focal length from EXIF, px.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
+    /// The colour profile that is applied, or the camera of a raw file; none for sRGB.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub colours: Option<String>,
     /// Mean of the brightest channel, 0 to 1; of a photograph that is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f32>,
@@ -206,6 +209,7 @@ fn assessment(of: capture::Assessment) -> Assessment {
         width: of.width,
         height: of.height,
         focal_px: of.focal_px,
+        colours: of.colours,
         brightness: of.brightness,
         sharpness: of.sharpness,
         warnings: of.warnings.into_iter().map(warning).collect(),

@@ -3,7 +3,7 @@
 import { address, count, h, prose } from "./dom.js";
 import { told } from "./table.js";
 
-const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
+const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" }, { title: "Colours", class: "word" },
   { title: "Brightness", class: "word" }, { title: "Sharpness", class: "word" }, { title: "Position" }, { title: "Status" }, { title: "Warnings" }];
 
 /** @typedef {import("fled-api").Capture} Capture */
@@ -64,6 +64,7 @@ export function photographs(capture, positions = new Map()) {
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",
     image.focal_px ? image.focal_px.toFixed(0) : "",
+    image.colours ?? (image.accepted ? "sRGB" : ""),
     share(image.brightness),
     share(image.sharpness),
     positions.get(image.view) ?? "",

@@ -2,9 +2,11 @@
 
 import { h } from "../lib/dom.js";
 
-/** The server reads both; the browser shows the first. */
+/** The server reads all three kinds; the browser shows the first. */
 const SHOWN = /\.(jpe?g|jfif|mpo|png|webp)$/i;
 const READ = /\.(tiff?|heic|heif|hif|zip|mp4|mov|m4v)$/i;
+/** Raw files, as src/core/image/signature.rs lists them. */
+const RAW = /\.(3fr|arw|cr[23w]|dcr|dng|erf|fff|gpr|iiq|kdc|mef|mos|mrw|n[er][fw]|orf|pef|raf|rw[2l]|sr[2fw]|x3f)$/i;
 /** Shortest acceptable longest side of a photograph, px. */
 const LEAST = 64;
 /** Files beside photographs: poses and models. */
@@ -16,7 +18,7 @@ export function looked(path, file) {
   const fault = h("span", { class: "bad" });
   const isShown = SHOWN.test(path);
   if (file.size === 0) fault.textContent = "empty file";
-  else if (!isShown && !READ.test(path) && !BESIDE.test(path)) fault.textContent = "not a photograph; it will not be used";
+  else if (!isShown && !READ.test(path) && !RAW.test(path) && !BESIDE.test(path)) fault.textContent = "not a photograph; it will not be used";
   else if (isShown) picture.append(thumbnail(file, fault));
   return { picture, fault };
 }

@@ -147,6 +147,7 @@ impl Assessed {
             width,
             height,
             focal_px,
+            colours: seen.header.colours(),
             brightness: Some(seen.mean_v),
             sharpness: Some(seen.sharpness / typical_sharpness.max(1e-12)),
             warnings: seen.warnings(typical_sharpness),

@@ -15,6 +15,7 @@ use super::preparation::Preparation;
 use super::prepared::PreparedImage;
 use super::print::Print;
 use super::watch::{Look, Watch};
+use super::white_balances::WhiteBalances;
 
 /// Long side at which photographs are assessed, px: decoding dominates, so this is enough.
 const ASSESSED_SIDE: usize = 320;
@@ -67,6 +68,7 @@ impl Fault {
             width: self.header.as_ref().map_or(0, |header| header.width),
             height: self.header.as_ref().map_or(0, |header| header.height),
             focal_px: self.header.and_then(|header| header.focal_px),
+            colours: None,
             brightness: None,
             sharpness: None,
             warnings: Vec::new(),
@@ -93,6 +95,7 @@ pub(super) struct Assessor<'a> {
     budget: DecodeBudget,
     tell: &'a (dyn Fn(Look<'_>) + Sync),
     preparation: Option<&'a Preparation>,
+    white_balances: WhiteBalances,
     /// The first failure to write a prepared image.
     failure: Mutex<Option<io::Error>>,
 }
@@ -104,13 +107,18 @@ impl<'a> Assessor<'a> {
         preparation: Option<&'a Preparation>,
         all: impl Iterator<Item = &'b Entry>,
     ) -> Self {
-        let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file));
-        let mut bytes: Vec<u64> =
-            all.map(|entry| read(entry).map_or(0, |header| header.decoded_bytes)).collect();
+        let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file)).ok();
+        let headers: Vec<Header> = all.filter_map(read).collect();
+        let mut bytes: Vec<u64> = headers.iter().map(|header| header.decoded_bytes).collect();
         bytes.sort_unstable_by(|a, b| b.cmp(a));
         let largest = bytes.iter().take(DECODED_AT_ONCE).sum();
-        let failure = Mutex::new(None);
-        Self { budget: (watch.lend)(largest), tell: watch.tell, preparation, failure }
+        Self {
+            budget: (watch.lend)(largest),
+            tell: watch.tell,
+            preparation,
+            white_balances: WhiteBalances::of(headers.iter().filter_map(|h| h.raw.as_ref())),
+            failure: Mutex::new(None),
+        }
     }
 
     /// The first failure to write a prepared image.
@@ -149,12 +157,14 @@ impl<'a> Assessor<'a> {
         file: impl FnOnce(&Preparation) -> PathBuf,
     ) -> Result<(Image<Srgb>, Option<PreparedImage>), ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
+        let white_balance = header.raw.as_ref().and_then(|raw| self.white_balances.of_camera(raw));
         let Some(preparation) = self.preparation else {
-            let small =
-                watched(self.tell, entry, || Image::load_at_most(&entry.file, ASSESSED_SIDE));
-            return Ok((small?, None));
+            let small = watched(self.tell, entry, || {
+                Image::load_balanced(&entry.file, ASSESSED_SIDE, white_balance)
+            });
+            return Ok((small?.to_srgb(), None));
         };
-        let decode = || Image::load_light(&entry.file, preparation.side);
+        let decode = || Image::load_balanced(&entry.file, preparation.side, white_balance);
         let image = watched(self.tell, entry, decode)?;
         let (width, height) = image.size_at_most(ASSESSED_SIDE);
         let small = image.resize_area(width, height).to_srgb();
@@ -277,6 +287,12 @@ impl Seen {
         if let Some(transfer) = self.header.hdr {
             let message = format!("it is HDR ({transfer}) and was tone-mapped to sRGB");
             warnings.push(CaptureWarning::new("hdr", message));
+        }
+        if let Some(reason) = &self.header.profile_fault {
+            let message = format!(
+                "its colour profile is not used ({reason}): its values are taken as sRGB's"
+            );
+            warnings.push(CaptureWarning::new("profile", message));
         }
         if self.mean_v < DARK_MEAN_V {
             let levels = self.mean_v * 255.0;

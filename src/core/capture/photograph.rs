@@ -55,6 +55,10 @@ pub struct Assessment {
     /// Focal length in px, from EXIF.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
+    /// The colour profile that is applied, or the camera of a raw file; none where the values are
+    /// sRGB's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub colours: Option<String>,
     /// Mean of the brightest channel, as a share of white; only if the photograph is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f32>,

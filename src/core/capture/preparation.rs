@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::image::write_atomic;
 
 /// Raised when prepared images of equal photographs change.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Where a capture's images are prepared, and how large.
 #[derive(Clone, Debug)]

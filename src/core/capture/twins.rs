@@ -1,5 +1,4 @@
-//! Two files of one exposure: phones and cameras write a JPEG beside a HEIC, TIFF or developed raw
-//! file. If both were used, one could be trained on while the other is held out for measurement.
+//! Two files of one exposure: phones and cameras write a JPEG beside a HEIC or a raw file. If both were used, one could be trained on while the other is held out for measurement.
 
 use std::collections::{HashMap, HashSet};
 
@@ -22,19 +21,22 @@ const EQUAL_BRIGHTNESS: f32 = 0.02;
 const KEEPING: [&[&str]; 4] =
     [&["tif", "tiff", "btf"], &["heic", "heif", "hif"], &["png"], &["webp"]];
 
+/// In place of a position in [`KEEPING`], for raw files.
+const RAW: usize = usize::MAX;
+
 /// A photograph that may have twins.
 struct One<'a> {
     entry: &'a Entry,
     seen: &'a Seen,
     /// Its path without the extension, in lower case.
     stem: String,
-    /// Position of its format in [`KEEPING`].
+    /// Position of its format in [`KEEPING`], or [`RAW`].
     format: usize,
 }
 
 /// The unused photographs by index, each with the index of the twin that is used. A photograph
-/// named by the `named` poses is preferred, then the larger one, then the one whose format
-/// preserves more.
+/// named by the `named` poses is preferred, then a raw file, then the larger one, then the one
+/// whose format preserves more.
 pub(super) fn of(
     photographs: &[Entry],
     seen: &[Option<&Seen>],
@@ -49,7 +51,8 @@ pub(super) fn of(
     let rank = |one: &One<'_>| {
         let is_named = names.contains(one.entry.path.name());
         let pixels = one.seen.header.width * one.seen.header.height;
-        (!is_named, usize::MAX - pixels, one.format)
+        let is_raw = one.seen.header.raw.is_some();
+        (!is_named, !is_raw, usize::MAX - pixels, one.format)
     };
     order.sort_by_cached_key(|&at| rank(of(at)));
     let mut used: Vec<usize> = Vec::new();
@@ -69,7 +72,11 @@ impl<'a> One<'a> {
         let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
         let format = KEEPING.iter().position(|known| known.contains(&extension));
         let stem = entry.path.stem().to_lowercase();
-        Self { entry, seen, stem, format: format.unwrap_or(KEEPING.len()) }
+        let format = match seen.header.raw {
+            Some(_) => RAW,
+            None => format.unwrap_or(KEEPING.len()),
+        };
+        Self { entry, seen, stem, format }
     }
 
     fn is_twin_of(&self, other: &Self) -> bool {

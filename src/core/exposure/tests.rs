@@ -86,3 +86,12 @@ fn evening_undoes_the_exposure() {
     assert!((gains.exposure() - 1.0 / 3.0).abs() < 1e-12);
     assert_eq!(gains.tint().map(|stops| (10.0 * stops).round()), [2.0, -10.0]);
 }
+
+#[test]
+fn gains_are_an_exposure_and_a_tint_and_come_back_from_them() {
+    let gains = Gains { stops: [0.5, -0.25, 0.1] };
+    let back = Gains::of(gains.exposure(), gains.tint());
+    for (back, stops) in back.stops.into_iter().zip(gains.stops) {
+        assert!((back - stops).abs() < 1e-12, "{back} {stops}");
+    }
+}

@@ -227,9 +227,9 @@ impl Shaper {
     fn is_srgb(&self) -> bool {
         let (of_curve, of_matrix) = SRGB_TOLERANCE;
         let is_close = |curve: &Curve| {
-            (0..=COMPARED).map(|step| f32::from(step) / f32::from(COMPARED)).all(|value| {
-                (curve.light(value) - srgb_to_linear(value)).abs() < of_curve
-            })
+            (0..=COMPARED)
+                .map(|step| f32::from(step) / f32::from(COMPARED))
+                .all(|value| (curve.light(value) - srgb_to_linear(value)).abs() < of_curve)
         };
         let mut elements = self.to_srgb.iter().flatten().zip(IDENTITY.iter().flatten());
         elements.all(|(own, other)| (own - other).abs() < of_matrix)

@@ -3,7 +3,8 @@
 //! Conversion of each input: grey is repeated in all three channels; palettes are looked up; alpha
 //! is composited over black, in the encoded values; CMYK is converted without a profile; 16 bits
 //! stay 16 bits deep (`v / 65535`); colour profiles are applied ([`super::colour`]), and a PQ or
-//! HLG HEIC is converted to sRGB ([`super::hdr`]); EXIF orientation is applied once, here and
+//! HLG HEIC is converted to sRGB ([`super::hdr`]); raw files have light of their own
+//! ([`super::raw`]); EXIF orientation is applied once, here and
 //! nowhere else, or a HEIC's own instead. Floating-point TIFF is refused, as its range and encoding
 //! are unknown.
 
@@ -15,7 +16,7 @@ mod profile;
 pub(crate) mod shares;
 
 use std::fs::{self, File};
-use std::io::{BufRead, BufReader, Read, Seek};
+use std::io::{self, BufRead, BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
@@ -26,6 +27,7 @@ use self::heic::Heic;
 use self::profile::Declared;
 use super::colour::Colour;
 use super::hdr::HdrTransfer;
+use super::raw::{Raw, RawHeader};
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
 use super::{Image, Linear, Shot, Srgb, exif};
@@ -59,6 +61,16 @@ pub struct Header {
     pub profile: Option<String>,
     /// Why a colour profile cannot be applied; the values are taken as sRGB.
     pub profile_fault: Option<String>,
+    /// Only of a raw file.
+    pub raw: Option<RawHeader>,
+}
+
+impl Header {
+    /// The colour profile that is applied, or the camera of a raw file; `None` for sRGB.
+    pub fn colours(&self) -> Option<String> {
+        let of_raw = self.raw.as_ref().map(|raw| format!("raw, {}", raw.camera));
+        of_raw.or_else(|| self.profile.clone())
+    }
 }
 
 /// Reads a file's header and checks it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
@@ -66,7 +78,7 @@ pub struct Header {
 /// # Errors
 /// [`ImageError`]; a valid header does not guarantee that the picture is intact.
 pub fn read_header(path: &Path) -> Result<Header, ImageError> {
-    guarded(|| Ok(Opened::open(path)?.header))
+    guarded(|| Ok(Source::open(path)?.into_header()))
 }
 
 impl Image<Srgb> {
@@ -75,10 +87,10 @@ impl Image<Srgb> {
     /// # Errors
     /// [`ImageError`]; nothing is decoded if the header exceeds the limits.
     pub fn load(path: &Path) -> Result<Self, ImageError> {
-        let samples = Samples::decode(path)?;
-        if !samples.colour.is_srgb() {
-            return Ok(samples.light(usize::MAX).to_srgb());
-        }
+        let samples = match Decoded::of(path, usize::MAX, None)? {
+            Decoded::Samples(samples) if samples.colour.is_srgb() => samples,
+            decoded => return Ok(decoded.light(usize::MAX).to_srgb()),
+        };
         let table = samples.table(|v| v);
         let mut image = Self::new(samples.width, samples.height);
         let width = samples.width;
@@ -107,8 +119,120 @@ impl Image<Linear> {
     /// # Errors
     /// As [`Image::load`].
     pub fn load_light(path: &Path, long_side: usize) -> Result<Self, ImageError> {
-        Ok(Samples::decode(path)?.light(long_side))
+        Self::load_balanced(path, long_side, None)
     }
+
+    /// As [`Image::load_light`]; raw files are balanced to these multipliers of red, green and blue
+    /// in place of their own.
+    ///
+    /// # Errors
+    /// As [`Image::load`].
+    pub fn load_balanced(
+        path: &Path,
+        long_side: usize,
+        white_balance: Option<[f32; 3]>,
+    ) -> Result<Self, ImageError> {
+        Ok(Decoded::of(path, long_side, white_balance)?.light(long_side))
+    }
+}
+
+/// A decoded file.
+enum Decoded {
+    Samples(Samples),
+    /// A raw file's light at the size that was asked for.
+    Light(Image<Linear>),
+}
+
+impl Decoded {
+    fn of(
+        path: &Path,
+        long_side: usize,
+        white_balance: Option<[f32; 3]>,
+    ) -> Result<Self, ImageError> {
+        #[cfg(test)]
+        DECODED.lock().expect("unpoisoned").push(path.to_owned());
+        guarded(|| match Source::open(path)? {
+            Source::Picture(opened) => Ok(Self::Samples(Samples::decode(opened, path)?)),
+            Source::Raw(raw) => Ok(Self::Light(raw.light(long_side, white_balance)?)),
+        })
+    }
+
+    fn light(self, long_side: usize) -> Image<Linear> {
+        match self {
+            Self::Samples(samples) => samples.light(long_side),
+            Self::Light(image) => image,
+        }
+    }
+}
+
+/// A file whose header has been read and accepted: a picture, or a raw file.
+enum Source {
+    Picture(Opened),
+    Raw(Box<Raw>),
+}
+
+impl Source {
+    fn open(path: &Path) -> Result<Self, ImageError> {
+        let io = |source| ImageError::Io { path: path.to_owned(), source };
+        let (mut file, length) = regular(path)?;
+        let mut head = Vec::with_capacity(32);
+        Read::by_ref(&mut file).take(32).read_to_end(&mut head).map_err(io)?;
+        file.rewind().map_err(io)?;
+        match kind(&head, path) {
+            Kind::Readable(format) => Opened::picture(path, file, format, length),
+            Kind::Heic if length > heic::LONGEST => {
+                Err(ImageError::Unsupported { message: "a HEIC of more than 128 MiB".to_owned() })
+            }
+            Kind::Heic => Opened::heic(whole(file).map_err(io)?),
+            Kind::Raw => return Ok(Self::Raw(Box::new(Raw::open(whole(file).map_err(io)?)?))),
+            Kind::Video => Err(ImageError::Video),
+            Kind::Unread(format) => Err(ImageError::Unread(format)),
+            Kind::Unknown => Err(ImageError::UnknownFormat),
+        }
+        .map(Self::Picture)
+    }
+
+    fn into_header(self) -> Header {
+        let raw = match self {
+            Self::Picture(opened) => return opened.header,
+            Self::Raw(raw) => raw,
+        };
+        let (width, height) = raw.size();
+        Header {
+            width,
+            height,
+            orientation: raw.orientation(),
+            focal_px: raw.focal_px(),
+            shot: raw.shot(),
+            decoded_bytes: raw.decoded_bytes(),
+            hdr: None,
+            has_alpha: false,
+            profile: None,
+            profile_fault: None,
+            raw: Some(raw.header()),
+        }
+    }
+}
+
+/// A file and its length, if it is of an acceptable one.
+fn regular(path: &Path) -> Result<(BufReader<File>, u64), ImageError> {
+    let io = |source| ImageError::Io { path: path.to_owned(), source };
+    let file = File::open(path).map_err(io)?;
+    let metadata = file.metadata().map_err(io)?;
+    if !metadata.is_file() {
+        return Err(ImageError::UnknownFormat);
+    }
+    match metadata.len() {
+        0 => Err(ImageError::Empty),
+        bytes if bytes > MAX_FILE_BYTES => Err(ImageError::TooManyBytes { bytes }),
+        length => Ok((BufReader::new(file), length)),
+    }
+}
+
+fn whole(mut file: BufReader<File>) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// A file whose header has been read and accepted.
@@ -121,45 +245,33 @@ struct Opened {
 }
 
 impl Opened {
+    /// For masks and alpha, which raw files have not.
     fn open(path: &Path) -> Result<Self, ImageError> {
-        let io = |source| ImageError::Io { path: path.to_owned(), source };
-        let file = File::open(path).map_err(io)?;
-        let metadata = file.metadata().map_err(io)?;
-        if !metadata.is_file() {
-            return Err(ImageError::UnknownFormat);
-        }
-        match metadata.len() {
-            0 => return Err(ImageError::Empty),
-            bytes if bytes > MAX_FILE_BYTES => return Err(ImageError::TooManyBytes { bytes }),
-            _ => (),
-        }
-        let mut file = BufReader::new(file);
-        let mut head = Vec::with_capacity(32);
-        Read::by_ref(&mut file).take(32).read_to_end(&mut head).map_err(io)?;
-        let format = match kind(&head, path) {
-            Kind::Readable(format) => format,
-            Kind::Heic => {
-                file.rewind().map_err(io)?;
-                if metadata.len() > heic::LONGEST {
-                    return Err(ImageError::Unsupported {
-                        message: "a HEIC of more than 128 MiB".to_owned(),
-                    });
-                }
-                let mut bytes = Vec::new();
-                file.read_to_end(&mut bytes).map_err(io)?;
-                let heic = Heic::open(bytes)?;
-                let (beside, hdr) = (heic.bytes_beside(), heic.hdr());
-                let srgb = hdr.map(|_| Colour::srgb());
-                let declared = srgb.or_else(|| heic.colour()).map(Declared::Colour);
-                let mut opened = Self::with_decoder(Box::new(heic), None, beside, declared)?;
-                opened.header.hdr = hdr;
-                return Ok(opened);
+        match Source::open(path)? {
+            Source::Picture(opened) => Ok(opened),
+            Source::Raw(_) => {
+                Err(ImageError::Unsupported { message: "a raw file in place of a mask".to_owned() })
             }
-            Kind::Video => return Err(ImageError::Video),
-            Kind::Unread(format) => return Err(ImageError::Unread(format)),
-            Kind::Unknown => return Err(ImageError::UnknownFormat),
-        };
-        file.rewind().map_err(io)?;
+        }
+    }
+
+    fn heic(bytes: Vec<u8>) -> Result<Self, ImageError> {
+        let heic = Heic::open(bytes)?;
+        let (beside, hdr) = (heic.bytes_beside(), heic.hdr());
+        let srgb = hdr.map(|_| Colour::srgb());
+        let declared = srgb.or_else(|| heic.colour()).map(Declared::Colour);
+        let mut opened = Self::with_decoder(Box::new(heic), None, beside, declared)?;
+        opened.header.hdr = hdr;
+        Ok(opened)
+    }
+
+    fn picture(
+        path: &Path,
+        mut file: BufReader<File>,
+        format: ImageFormat,
+        length: u64,
+    ) -> Result<Self, ImageError> {
+        let io = |source| ImageError::Io { path: path.to_owned(), source };
         match format {
             ImageFormat::Tiff => {
                 let mut file = pages::Paged::open(file.into_inner()).map_err(io)?;
@@ -169,7 +281,7 @@ impl Opened {
             }
             // The decoder and the check each hold the whole file.
             ImageFormat::Jpeg => {
-                Self::with_reader(file, format, 2 * metadata.len(), None).map_err(|error| {
+                Self::with_reader(file, format, 2 * length, None).map_err(|error| {
                     // The decoder does not name most unsupported kinds.
                     match jpeg::check(&fs::read(path).unwrap_or_default()) {
                         Err(kind @ ImageError::Unsupported { .. }) => kind,
@@ -256,6 +368,7 @@ impl Opened {
                 has_alpha,
                 profile: colour.name().map(str::to_owned),
                 profile_fault,
+                raw: None,
             },
             colour,
             is_jpeg,
@@ -289,30 +402,25 @@ impl Values {
 }
 
 impl Samples {
-    fn decode(path: &Path) -> Result<Self, ImageError> {
-        #[cfg(test)]
-        DECODED.lock().expect("unpoisoned").push(path.to_owned());
-        guarded(|| {
-            let opened = Opened::open(path)?;
-            if opened.is_jpeg {
-                let bytes = fs::read(path)
-                    .map_err(|source| ImageError::Io { path: path.to_owned(), source })?;
-                jpeg::check(&bytes)?;
-            }
-            let mut picture =
-                DynamicImage::from_decoder(opened.decoder).map_err(|error| image_error(&error))?;
-            picture.apply_orientation(opened.orientation);
-            let (width, height) = (opened.header.width, opened.header.height);
-            let (channels, values) = interleaved(picture)?;
-            let colour = opened.colour;
-            if !colour.has_tables() {
-                return Ok(Self { width, height, channels, values, colour });
-            }
-            let converted = colour.table_converted(&values.deep());
-            let damaged = |reason| ImageError::Damaged { message: format!("its profile: {reason}") };
-            let (values, colour) = (Values::Sixteen(converted.map_err(damaged)?), Colour::srgb());
-            Ok(Self { width, height, channels, values, colour })
-        })
+    fn decode(opened: Opened, path: &Path) -> Result<Self, ImageError> {
+        if opened.is_jpeg {
+            let bytes = fs::read(path)
+                .map_err(|source| ImageError::Io { path: path.to_owned(), source })?;
+            jpeg::check(&bytes)?;
+        }
+        let mut picture =
+            DynamicImage::from_decoder(opened.decoder).map_err(|error| image_error(&error))?;
+        picture.apply_orientation(opened.orientation);
+        let (width, height) = (opened.header.width, opened.header.height);
+        let (channels, values) = interleaved(picture)?;
+        let colour = opened.colour;
+        if !colour.has_tables() {
+            return Ok(Self { width, height, channels, values, colour });
+        }
+        let converted = colour.table_converted(&values.deep());
+        let damaged = |reason| ImageError::Damaged { message: format!("its profile: {reason}") };
+        let (values, colour) = (Values::Sixteen(converted.map_err(damaged)?), Colour::srgb());
+        Ok(Self { width, height, channels, values, colour })
     }
 
     /// With the long side reduced to at most `long_side` px, in linear light.
@@ -418,7 +526,7 @@ fn image_error(error: &image::ImageError) -> ImageError {
 }
 
 /// Runs a decoder; a panic caused by a hostile file is an error of the file, not of the run.
-fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
+pub(super) fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
     catch_unwind(AssertUnwindSafe(decode))
         .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))
 }

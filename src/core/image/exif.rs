@@ -39,15 +39,25 @@ pub(super) fn orientation(exif: &Exif) -> Option<Orientation> {
 /// The focal length in px of a `width` x `height` image. `None` if the block gives millimetres
 /// without a sensor size.
 pub(super) fn focal_px(exif: &Exif, width: usize, height: usize) -> Option<f64> {
-    let focal =
-        equivalent(exif, width, height).or_else(|| by_sensor_resolution(exif, width, height))?;
+    let focal = match positive(exif, Tag::FocalLengthIn35mmFilm) {
+        Some(millimetres) => of_diagonals(millimetres, width, height),
+        None => by_sensor_resolution(exif, width, height)?,
+    };
+    plausible(focal, width, height)
+}
+
+/// The focal length in px for a 35 mm equivalent.
+pub(super) fn of_equivalent(millimetres: f64, width: usize, height: usize) -> Option<f64> {
+    plausible(of_diagonals(millimetres, width, height), width, height)
+}
+
+fn plausible(focal: f64, width: usize, height: usize) -> Option<f64> {
     PLAUSIBLE.contains(&(focal / width.max(height) as f64)).then_some(focal)
 }
 
 /// From the 35 mm equivalent: the diagonals correspond.
-fn equivalent(exif: &Exif, width: usize, height: usize) -> Option<f64> {
-    let millimetres = positive(exif, Tag::FocalLengthIn35mmFilm)?;
-    Some(millimetres / FRAME_DIAGONAL_MM * (width as f64).hypot(height as f64))
+fn of_diagonals(millimetres: f64, width: usize, height: usize) -> f64 {
+    millimetres / FRAME_DIAGONAL_MM * (width as f64).hypot(height as f64)
 }
 
 /// From the focal length in millimetres and the sensor's resolution, corrected for a later resize.

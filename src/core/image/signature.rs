@@ -15,6 +15,8 @@ pub(super) enum Kind {
     Readable(ImageFormat),
     /// HEIC: the native format of phones. Its boxes show whether it contains HEVC.
     Heic,
+    /// A camera's raw file.
+    Raw,
     /// MP4 or MOV.
     Video,
     /// A known but unsupported format.
@@ -35,7 +37,6 @@ pub struct Unread {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sort {
     Picture,
-    Raw,
     Video,
     Archive,
     Sphere,
@@ -45,7 +46,6 @@ enum Sort {
 }
 
 impl Unread {
-    const RAW: Self = Self { name: "camera raw", sort: Sort::Raw };
     const AVIF: Self = Self { name: "AVIF", sort: Sort::Picture };
     /// Two fisheyes side by side, in a JPEG.
     const INSTA360: Self = Self { name: "INSP photographs", sort: Sort::Sphere };
@@ -56,9 +56,6 @@ impl Unread {
     /// The format that a file's name claims, if it is known but unsupported.
     pub(crate) fn named(path: &Path) -> Option<Self> {
         let extension = extension(path);
-        if RAW_EXTENSIONS.contains(&extension.as_str()) {
-            return Some(Self::RAW);
-        }
         let known = |unread: &&(Self, &[u8], &[&str])| unread.2.contains(&extension.as_str());
         UNREAD.iter().find(known).map(|unread| unread.0)
     }
@@ -74,7 +71,7 @@ impl Unread {
     }
 
     fn is_photograph(self) -> bool {
-        matches!(self.sort, Sort::Picture | Sort::Raw | Sort::Sphere)
+        matches!(self.sort, Sort::Picture | Sort::Sphere)
     }
 }
 
@@ -85,11 +82,6 @@ impl fmt::Display for Unread {
             Sort::Picture => {
                 write!(f, "{name} pictures are not read: save them as JPEG, PNG, TIFF or HEIC")
             }
-            Sort::Raw => write!(
-                f,
-                "{name} files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with \
-                 one fixed brightness for all, as with dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"
-            ),
             Sort::Video => write!(
                 f,
                 "{name} videos are not read: convert it to MP4, as with ffmpeg -i VIDEO out.mp4"
@@ -162,6 +154,11 @@ const RAW_EXTENSIONS: [&str; 26] = [
     "mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
 ];
 
+/// Whether a file's name claims a camera's raw file.
+pub(crate) fn is_named_raw(path: &Path) -> bool {
+    RAW_EXTENSIONS.contains(&extension(path).as_str())
+}
+
 fn extension(path: &Path) -> String {
     let extension = path.extension().and_then(|extension| extension.to_str());
     extension.unwrap_or_default().to_ascii_lowercase()
@@ -179,12 +176,11 @@ pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
     let is_big_tiff = head.starts_with(b"II\x2b\0") || head.starts_with(b"MM\0\x2b");
     match image::guess_format(head) {
         Ok(_) if extension(path) == "insp" => Kind::Unread(Unread::INSTA360),
-        Ok(ImageFormat::Tiff) if RAW_EXTENSIONS.contains(&extension(path).as_str()) => {
-            Kind::Unread(Unread::RAW)
-        }
+        Ok(ImageFormat::Tiff) if is_named_raw(path) => Kind::Raw,
         Ok(
             format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tiff),
         ) => Kind::Readable(format),
+        _ if is_named_raw(path) => Kind::Raw,
         _ if is_big_tiff => Kind::Readable(ImageFormat::Tiff),
         _ => Unread::named(path).map_or(Kind::Unknown, Kind::Unread),
     }
@@ -194,7 +190,7 @@ pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
 fn foreign(head: &[u8]) -> Option<Kind> {
     if head.get(4..8) == Some(b"ftyp".as_slice()) {
         return Some(match head.get(8..12)? {
-            b"crx " => Kind::Unread(Unread::RAW),
+            b"crx " => Kind::Raw,
             b"heic" | b"heix" | b"heim" | b"heis" | b"mif1" | b"mif2" | b"heif" => Kind::Heic,
             b"hevc" | b"hevx" | b"msf1" => Kind::Unread(Unread::BURST),
             b"avif" | b"avis" => Kind::Unread(Unread::AVIF),
@@ -206,7 +202,7 @@ fn foreign(head: &[u8]) -> Option<Kind> {
     let canon = head.starts_with(b"II*\0") && head.get(8..10) == Some(b"CR".as_slice());
     let raw: [&[u8]; 6] = [b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"\0MRM"];
     if canon || raw.iter().any(|signature| head.starts_with(signature)) {
-        return Some(Kind::Unread(Unread::RAW));
+        return Some(Kind::Raw);
     }
     let begins =
         |unread: &&(Unread, &[u8], &[&str])| !unread.1.is_empty() && head.starts_with(unread.1);
@@ -221,6 +217,7 @@ pub(crate) fn named_like_a_photograph(path: &Path) -> bool {
         "btf",
     ];
     READ.contains(&extension(path).as_str())
+        || is_named_raw(path)
         || Unread::named(path).is_some_and(Unread::is_photograph)
 }
 
@@ -236,19 +233,16 @@ mod tests {
         assert_eq!(kind(video, Path::new("a.mov")), Kind::Video);
         let avif = b"\0\0\0\x18ftypavif\0\0\0\0mif1avif";
         assert_eq!(kind(avif, Path::new("a.heic")), Kind::Unread(Unread::AVIF));
-        assert_eq!(
-            kind(b"\0\0\0\x18ftypcrx \0\0\0\x01", Path::new("a.jpg")),
-            Kind::Unread(Unread::RAW)
-        );
-        assert_eq!(kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")), Kind::Unread(Unread::RAW));
-        assert_eq!(kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")), Kind::Unread(Unread::RAW));
+        assert_eq!(kind(b"\0\0\0\x18ftypcrx \0\0\0\x01", Path::new("a.jpg")), Kind::Raw);
+        assert_eq!(kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")), Kind::Raw);
+        assert_eq!(kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")), Kind::Raw);
     }
 
     #[test]
     fn a_tiff_is_readable_unless_its_extension_is_a_raw_formats() {
         let tiff = b"II*\0\x08\0\0\0\x0e\0\0\x01";
         assert_eq!(kind(tiff, Path::new("a.tif")), Kind::Readable(ImageFormat::Tiff));
-        assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Unread(Unread::RAW));
+        assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Raw);
         let fisheyes = kind(b"\xff\xd8\xff\xe1", Path::new("a.insp"));
         assert_eq!(fisheyes, Kind::Unread(Unread::INSTA360));
     }
@@ -259,7 +253,7 @@ mod tests {
             Kind::Unread(format) => format.to_string(),
             other => panic!("{name}: {other:?}"),
         };
-        let cases: [(&[u8], &str, &str); 12] = [
+        let cases: [(&[u8], &str, &str); 11] = [
             (b"BM\x36\x10", "a.jpg", "BMP pictures are not read: save them"),
             (b"8BPS\0\x01", "a.psd", "Photoshop pictures"),
             (b"\xff\x0a\xfa", "a.jxl", "JPEG XL pictures"),
@@ -271,7 +265,6 @@ mod tests {
             (b"\0\0\0\x18ftyp3gp5", "a.3gp", "3GP videos"),
             (b"\0\0\0\x20ftypavc1\0", "a.insv", "export flat (reframed) views"),
             (b"\0\0\0\x14ftypmp41\0", "GS01.360", "export flat (reframed) views"),
-            (b"FUJIFILMCCD-RAW 0201", "a.raf", "dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"),
         ];
         for (head, name, words) in cases {
             let message = message(head, name);

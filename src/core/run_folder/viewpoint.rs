@@ -88,15 +88,7 @@ impl Viewpoint {
         size: PictureSize,
     ) -> Result<Camera, ViewpointError> {
         match self {
-            Self::View(name) => {
-                let named = |name: &str| cameras.iter().find(|camera| camera.name == *name);
-                let taken = |photograph: &str| named(&view_names([photograph].into_iter())[0]);
-                // With its extension, or a name without one that contains a dot.
-                let view = named(name).or_else(|| taken(name));
-                let view = view.or_else(|| taken(&format!("{name}.")));
-                let view = view.ok_or_else(|| unknown(name, cameras))?;
-                Ok(fitted(&view.camera(), size))
-            }
+            Self::View(name) => Ok(fitted(&view_named(name, cameras)?.camera(), size)),
             Self::Pose(camera) => Ok(fitted(camera, size)),
             Self::Orbit { azimuth, elevation, distance } => {
                 let azimuth = finite("azimuth", *azimuth)?;
@@ -112,6 +104,21 @@ impl Viewpoint {
             }
         }
     }
+}
+
+/// The view of this name, or of the photograph of this name, with its extension or without.
+///
+/// # Errors
+/// [`ViewpointError::UnknownView`].
+pub fn view_named<'a>(
+    name: &str,
+    cameras: &'a [NamedCamera],
+) -> Result<&'a NamedCamera, ViewpointError> {
+    let named = |name: &str| cameras.iter().find(|camera| camera.name == *name);
+    let taken = |photograph: &str| named(&view_names([photograph].into_iter())[0]);
+    // With its extension, or a name without one that contains a dot.
+    let view = named(name).or_else(|| taken(name)).or_else(|| taken(&format!("{name}.")));
+    view.ok_or_else(|| unknown(name, cameras))
 }
 
 fn unknown(name: &str, cameras: &[NamedCamera]) -> ViewpointError {

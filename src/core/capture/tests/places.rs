@@ -487,7 +487,7 @@ fn files_like_photographs_are_listed_with_advice() {
     let capture = home.path().join("capture");
     for (name, words) in [
         ("a.insp", "INSP photographs are not read"),
-        ("b.gpr", "camera raw files are not read"),
+        ("b.gpr", "a raw file that is not read"),
         ("more.zip", "inner ZIP archives are not read: unpack it"),
         (".3.jpg.icloud", "iCloud's stand-in"),
     ] {

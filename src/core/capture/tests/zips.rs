@@ -207,7 +207,6 @@ fn limits_apply_to_unpacked_files_and_the_rest_is_listed_or_skipped() {
         ("images/walk.mov", Some("a video")),
         ("images/walk.mkv", Some("Matroska")),
         ("images/layers.psd", Some("Photoshop")),
-        ("images/0.dng", Some("camera raw")),
         ("library.db", None),
         ("images/points.csv", None),
         ("model.json", None),

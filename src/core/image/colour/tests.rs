@@ -52,7 +52,11 @@ fn pixels(deep: bool) -> Vec<u8> {
     let pixel = |x: usize| PATCHES[x / BLOCK];
     let row = || (0..4 * BLOCK).flat_map(pixel);
     let all = (0..BLOCK).flat_map(|_| row());
-    if deep { all.flat_map(|v| (257 * u16::from(v)).to_ne_bytes()).collect() } else { all.collect() }
+    if deep {
+        all.flat_map(|v| (257 * u16::from(v)).to_ne_bytes()).collect()
+    } else {
+        all.collect()
+    }
 }
 
 fn linear_srgb() -> ColorProfile {

@@ -38,7 +38,7 @@ pub enum ImageError {
     #[error("{0}")]
     Unread(Unread),
     /// The format is not recognised.
-    #[error("not a JPEG, PNG, WebP, TIFF or HEIC picture")]
+    #[error("not a JPEG, PNG, WebP, TIFF, HEIC or camera raw picture")]
     UnknownFormat,
     /// The header declares more pixels than the limit.
     #[error("{width} x {height} px is more than the {} megapixels that are accepted", MAX_PIXELS / 1_000_000)]
@@ -62,6 +62,15 @@ pub enum ImageError {
         /// The variant.
         message: String,
     },
+    /// A raw file of a camera, sensor or compression that is not read.
+    #[error(
+        "a raw file that is not read: {message}; develop it to 16-bit TIFF or PNG with one fixed \
+         brightness for all, as with dcraw_emu -T -6 -w -W -c 0 -g 2.4 12.92 FILE"
+    )]
+    RawUnread {
+        /// The decoder's message.
+        message: String,
+    },
     /// A known format, but damaged or cut short.
     #[error("damaged or cut short: {message}")]
     Damaged {
@@ -82,6 +91,13 @@ pub enum ImageError {
 impl ImageError {
     /// Whether the format is known but unsupported (HTTP 415), as opposed to a damaged file.
     pub fn is_unsupported_format(&self) -> bool {
-        matches!(self, Self::Video | Self::Panorama | Self::Unread(_) | Self::Unsupported { .. })
+        matches!(
+            self,
+            Self::Video
+                | Self::Panorama
+                | Self::Unread(_)
+                | Self::Unsupported { .. }
+                | Self::RawUnread { .. }
+        )
     }
 }

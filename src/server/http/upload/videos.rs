@@ -105,6 +105,7 @@ fn unused(video: &Path) -> Assessment {
         width: 0,
         height: 0,
         focal_px: None,
+        colours: None,
         brightness: None,
         sharpness: None,
         warnings: Vec::new(),

@@ -1,0 +1,305 @@
+//! Camera raw files: from the sensor's samples to linear light of sRGB primaries.
+//!
+//! `flashraw` unpacks the samples and knows the cameras. The light is computed here, because its
+//! own conversions clip at black: noise below black is as large as above it, and the mean of many
+//! photographs, or of many pixels, needs both. In order: black and white level; the second opcode
+//! list of DNG (lens shading); white balance; highlights that a channel clips are neutral; area
+//! average of each colour of the mosaic; the camera's matrix. Brightening hints (BaselineExposure,
+//! tone curves, ProfileGainTableMap) are not applied: they differ from photograph to photograph.
+
+#[cfg(test)]
+pub(crate) mod dng;
+mod mosaic;
+
+use flashraw::low_level::codecs::dng_opcodes::{self, PlaneImage};
+use flashraw::{
+    CfaColor, CorruptionPolicy, DecodeOptions, Error, FlashRaw, FrameInfo, Limits, OutputFormat,
+    RawFrame, RawPixelData, SensorLayout,
+};
+use glam::{DMat3, DVec3};
+use image::metadata::Orientation;
+
+use self::mosaic::Mosaic;
+use super::colour::mixed;
+use super::decode::{ImageError, MAX_PIXELS};
+use super::resize::at_most;
+use super::{Image, Linear, Shot, exif};
+
+/// Bytes at the beginning of a file that hold its EXIF, if it is built like a TIFF.
+const EXIF_PREFIX: usize = 1 << 19;
+
+/// Linear sRGB to XYZ of D65 (IEC 61966-2-1).
+const XYZ_OF_SRGB: DMat3 = DMat3::from_cols(
+    DVec3::new(0.412_390_8, 0.212_639_0, 0.019_330_8),
+    DVec3::new(0.357_584_3, 0.715_168_7, 0.119_194_8),
+    DVec3::new(0.180_480_8, 0.072_192_3, 0.950_532_2),
+);
+
+/// A raw file's camera and white balance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawHeader {
+    /// Make and model.
+    pub camera: String,
+    /// Multipliers of red, green and blue that make white neutral, as shot; green is 1.
+    pub white_balance: [f32; 3],
+}
+
+/// A raw file whose header has been read and accepted.
+pub(super) struct Raw {
+    file: FlashRaw<'static>,
+    bytes: u64,
+    /// From EXIF tags that `flashraw` leaves out.
+    focal_px: Option<f64>,
+}
+
+impl Raw {
+    /// # Errors
+    /// [`ImageError::Unsupported`] for a camera, sensor or compression that is not read,
+    /// [`ImageError::Damaged`], [`ImageError::TooManyPixels`].
+    pub(super) fn open(bytes: Vec<u8>) -> Result<Self, ImageError> {
+        let length = bytes.len() as u64;
+        let prefix = bytes[..bytes.len().min(EXIF_PREFIX)].to_vec();
+        let is_tiff = prefix.starts_with(b"II*\0") || prefix.starts_with(b"MM\0*");
+        let file = FlashRaw::open_with(bytes, limits()).map_err(|error| image_error(&error))?;
+        let info = file.frame_info();
+        let (width, height) = (info.crop.width, info.crop.height);
+        if u64::from(info.width) * u64::from(info.height) > MAX_PIXELS {
+            return Err(ImageError::TooManyPixels { width: info.width, height: info.height });
+        }
+        match info.layout {
+            SensorLayout::Bayer
+            | SensorLayout::QuadBayer
+            | SensorLayout::XTrans
+            | SensorLayout::Monochrome
+            | SensorLayout::Linear => {}
+            other => return Err(unsupported(format!("a sensor of kind {other:?}"))),
+        }
+        if info.cfa.is_some_and(|cfa| cfa.four_colour_order().is_some()) {
+            return Err(unsupported("a sensor of four colours".to_owned()));
+        }
+        let of_equivalent = file.metadata().exposure.focal_length_35mm.map(f64::from);
+        let focal_px = is_tiff
+            .then(|| exif::read(prefix))
+            .flatten()
+            .and_then(|exif| exif::focal_px(&exif, width as usize, height as usize))
+            .or_else(|| exif::of_equivalent(of_equivalent?, width as usize, height as usize));
+        Ok(Self { file, bytes: length, focal_px })
+    }
+
+    /// Width and height of the upright picture, px.
+    pub(super) fn size(&self) -> (usize, usize) {
+        let crop = self.file.frame_info().crop;
+        let (width, height) = (crop.width as usize, crop.height as usize);
+        if self.orientation().to_exif() >= 5 { (height, width) } else { (width, height) }
+    }
+
+    pub(super) fn orientation(&self) -> Orientation {
+        let exif = self.file.frame_info().orientation as u8;
+        Orientation::from_exif(exif).unwrap_or(Orientation::NoTransforms)
+    }
+
+    pub(super) fn focal_px(&self) -> Option<f64> {
+        self.focal_px
+    }
+
+    pub(super) fn shot(&self) -> Option<Shot> {
+        let exposure = &self.file.metadata().exposure;
+        let positive = |value: f64| (value.is_finite() && value > 0.0).then_some(value);
+        Some(Shot {
+            seconds: positive(exposure.exposure_time?)?,
+            iso: positive(f64::from(exposure.iso?))?,
+            f_number: exposure.f_number.and_then(|f| positive(f64::from(f))),
+        })
+    }
+
+    pub(super) fn header(&self) -> RawHeader {
+        let camera = self.file.metadata().camera();
+        RawHeader { camera, white_balance: white_balance(self.file.frame_info()) }
+    }
+
+    /// Bytes that decoding needs: the file, its samples as integers and as floats, and sums.
+    pub(super) fn decoded_bytes(&self) -> u64 {
+        let info = self.file.frame_info();
+        let samples = u64::from(info.width) * u64::from(info.height) * u64::from(info.cpp);
+        self.bytes.saturating_add(samples.saturating_mul(8))
+    }
+
+    /// The picture with its long side reduced to at most `long_side` px, balanced to
+    /// `white_balance`, or as shot.
+    ///
+    /// # Errors
+    /// [`ImageError::Damaged`], [`ImageError::Unsupported`].
+    pub(super) fn light(
+        &self,
+        long_side: usize,
+        white_balance: Option<[f32; 3]>,
+    ) -> Result<Image<Linear>, ImageError> {
+        let info = self.file.frame_info();
+        let options = DecodeOptions {
+            output: match info.sample_format {
+                flashraw::SampleFormat::F32 => OutputFormat::RawF32,
+                _ => OutputFormat::RawU16,
+            },
+            threads: Some(1),
+            limits: limits(),
+            corruption_policy: CorruptionPolicy::Strict,
+            ..DecodeOptions::default()
+        };
+        let frame = self.file.decode(options).map_err(|error| image_error(&error))?;
+        let (cpp, width) = (frame.cpp as usize, frame.width as usize);
+        let mut samples = normalised(&frame, info);
+        shade(&mut samples, info);
+        let balance = match info.white_balance_applied {
+            true => [1.0; 3],
+            false => at_least_one(white_balance.unwrap_or_else(|| self.header().white_balance)),
+        };
+        let mosaic = Mosaic { samples: &samples, width, cpp, cfa: info.cfa, crop: info.crop };
+        let (crop_width, crop_height) = (info.crop.width as usize, info.crop.height as usize);
+        let size = at_most(crop_width, crop_height, long_side.max(1));
+        let mut image = mosaic.averaged(size, balance);
+        mixed(&mut image, &camera_to_srgb(info));
+        Ok(turned(image, self.orientation()))
+    }
+}
+
+fn limits() -> Limits {
+    Limits::default().with_max_samples(3 * MAX_PIXELS)
+}
+
+/// The samples without black, as shares of the white level.
+fn normalised(frame: &RawFrame, info: &FrameInfo) -> Vec<f32> {
+    let (cpp, width) = (frame.cpp as usize, frame.width as usize);
+    let black = &frame.black_level;
+    let levels = |index: usize| {
+        let (x, y, sample) = (index / cpp % width, index / cpp / width, index % cpp);
+        let colour = info.cfa.map_or(sample, |cfa| cfa.color_at(x, y) as usize);
+        let black = black.at(x, y, sample);
+        let white = frame.white_level.at(colour) as f32;
+        (black, if white > black { (white - black).recip() } else { 1.0 })
+    };
+    let of = |(index, value): (usize, f32)| {
+        let (black, scale) = levels(index);
+        let value = (value - black) * scale;
+        if value.is_finite() { value } else { 0.0 }
+    };
+    match &frame.data {
+        RawPixelData::U16(samples) => {
+            samples.iter().map(|v| f32::from(*v)).enumerate().map(of).collect()
+        }
+        RawPixelData::F32(samples) => samples.iter().copied().enumerate().map(of).collect(),
+        // The two formats that are asked for.
+        _ => Vec::new(),
+    }
+}
+
+/// Applies the second list of a DNG's opcodes: gain maps against the lens's shading, and bad
+/// pixels.
+fn shade(samples: &mut [f32], info: &FrameInfo) {
+    let Some(opcodes) = info.opcodes.as_ref().and_then(|lists| {
+        let list = &lists.lists[1];
+        dng_opcodes::parse(list).ok().filter(|opcodes| !opcodes.is_empty())
+    }) else {
+        return;
+    };
+    let (area, cpp) = (info.active_area, info.cpp as usize);
+    let start = (area.y as usize * info.width as usize + area.x as usize) * cpp;
+    let mut active = PlaneImage {
+        data: &mut samples[start..],
+        width: area.width as usize,
+        height: area.height as usize,
+        planes: cpp,
+        stride: info.width as usize,
+        x0: 0,
+        y0: 0,
+        full_width: area.width as usize,
+        full_height: area.height as usize,
+    };
+    let period = info.cfa.map_or(1, |cfa| cfa.width().max(cfa.height()));
+    dng_opcodes::apply(&opcodes, &mut active, period, 65_535.0, false);
+}
+
+/// The multipliers that make white neutral, with green at 1: as shot, else for daylight by the
+/// camera's matrix.
+fn white_balance(info: &FrameInfo) -> [f32; 3] {
+    if let Some(balance) = info.white_balance {
+        return [balance.coeffs[0], 1.0, balance.coeffs[2]];
+    }
+    let Some(camera) = camera_of_srgb(info) else { return [1.0; 3] };
+    let white = camera * DVec3::ONE;
+    [white.y / white.x, 1.0, white.y / white.z].map(|v| v as f32)
+}
+
+/// With the smallest multiplier at 1: a sample at the white level stays white.
+fn at_least_one(balance: [f32; 3]) -> [f32; 3] {
+    let is_usable = |v: &f32| v.is_finite() && *v > 0.0;
+    let least = balance.iter().copied().filter(is_usable).fold(f32::INFINITY, f32::min);
+    balance.map(|v| if is_usable(&v) { v / least } else { 1.0 })
+}
+
+/// Linear sRGB to the camera's colours, before white balance.
+fn camera_of_srgb(info: &FrameInfo) -> Option<DMat3> {
+    let matrix = &info.color_matrices.preferred()?.values;
+    let rows: [f64; 9] =
+        matrix.get(..9)?.iter().map(|v| f64::from(*v)).collect::<Vec<_>>().try_into().ok()?;
+    let camera = DMat3::from_cols_array(&rows).transpose() * XYZ_OF_SRGB;
+    let is_usable = camera.is_finite() && camera.determinant().abs() > 1e-9;
+    is_usable.then_some(camera)
+}
+
+/// From balanced colours of the camera to linear sRGB; white stays white. Without a matrix, the
+/// camera's colours are taken for sRGB's.
+fn camera_to_srgb(info: &FrameInfo) -> [[f32; 3]; 3] {
+    let balanced = camera_of_srgb(info).filter(|_| info.cpp == 3 || info.cfa.is_some()).map(|of| {
+        let white = of * DVec3::ONE;
+        DMat3::from_diagonal(white.recip()) * of
+    });
+    let inverse = balanced.map_or(DMat3::IDENTITY, |of| of.inverse());
+    let inverse = if inverse.is_finite() { inverse } else { DMat3::IDENTITY };
+    inverse.transpose().to_cols_array_2d().map(|row| row.map(|v| v as f32))
+}
+
+/// Turned upright.
+fn turned(image: Image<Linear>, orientation: Orientation) -> Image<Linear> {
+    if orientation == Orientation::NoTransforms {
+        return image;
+    }
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let at = |x: u32, y: u32| image::Rgb(image.get(x as usize, y as usize));
+    let mut picture: image::DynamicImage = image::Rgb32FImage::from_fn(width, height, at).into();
+    picture.apply_orientation(orientation);
+    let picture = picture.into_rgb32f();
+    let mut upright = Image::new(picture.width() as usize, picture.height() as usize);
+    for (x, y, pixel) in picture.enumerate_pixels() {
+        upright.set(x as usize, y as usize, pixel.0);
+    }
+    upright
+}
+
+/// The channel of a colour of a mosaic; `None` for colours that sRGB has not.
+fn channel(colour: CfaColor) -> Option<usize> {
+    match colour {
+        CfaColor::Red => Some(0),
+        CfaColor::Green => Some(1),
+        CfaColor::Blue => Some(2),
+        _ => None,
+    }
+}
+
+fn unsupported(what: String) -> ImageError {
+    ImageError::RawUnread { message: what }
+}
+
+fn image_error(error: &Error) -> ImageError {
+    match error {
+        Error::CorruptFile { .. } | Error::InvalidMetadata(_) => {
+            ImageError::Damaged { message: error.to_string() }
+        }
+        Error::LimitExceeded(_) | Error::OutOfMemory(_) => {
+            ImageError::Unsupported { message: error.to_string() }
+        }
+        other => unsupported(other.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests;
