@@ -81,6 +81,10 @@ pub struct ViewScore {
     pub psnr_cc_db: Option<f64>,
     /// SSIM of the valid region.
     pub ssim: Option<f64>,
+    /// The same colour-fitted PSNR of the brightened photograph, dB: what the view would score
+    /// without fled. Absent without ground truth and in reports of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub photograph_psnr_cc_db: Option<f64>,
     /// Root mean square distance by which the shake between render and brightened view moves light,
     /// px of the working size.
     pub shake_px: Option<f64>,

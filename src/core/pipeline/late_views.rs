@@ -264,6 +264,7 @@ mod tests {
             psnr_db: None,
             psnr_cc_db: None,
             ssim: None,
+            photograph_psnr_cc_db: None,
             shake_px: None,
             is_shaken: None,
             fit: Some(*fit),

@@ -1,6 +1,5 @@
 //! A fake job: the events and files of `fled run`, and planned failures.
 
-use std::collections::BTreeMap;
 use std::error::Error;
 use std::ffi::OsString;
 use std::fs;
@@ -14,13 +13,13 @@ use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
 use fled_core::event::{Event, Stage};
 use fled_core::gaussians::{Gaussians, ply};
 use fled_core::image::Image;
-use fled_core::metrics::{Brightness, ImageKind, Record, Reference, RoundMetrics};
 use fled_core::pipeline::config::Options;
 use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
 
 use crate::protocol::{argument, say, tell};
 use crate::saved::Saved;
+use crate::scores;
 
 /// Ticks per stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
@@ -107,7 +106,9 @@ impl Job {
                 self.stage(*stage, round)?;
             }
             self.write_round(round)?;
-            tell(&Event::RoundFinished { metrics: Box::new(metrics(round, self.has_truth())) });
+            let plan = self.has_truth().then_some(&self.plan);
+            let metrics = scores::metrics(round, &self.names, plan);
+            tell(&Event::RoundFinished { metrics: Box::new(metrics) });
             if self.plan == "crash-late" && self.first("crashed")? {
                 std::process::abort();
             }
@@ -276,7 +277,8 @@ impl Job {
         let verdicts: Vec<_> = names.iter().map(verdict).collect();
         let report = serde_json::json!({ "adapter": "played <i>adapter</i>",
             "seed": self.options.seed, "views": names.len(), "registered": names.len(),
-            "poses": { "verdicts": verdicts } });
+            "shaken_views": names.len() / 4, "capture_shake": "shaken",
+            "exposure": scores::exposure(names), "poses": { "verdicts": verdicts } });
         fs::write(self.output.join("metrics.json"), serde_json::to_vec(&report)?)?;
         Ok(())
     }
@@ -334,56 +336,4 @@ fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
         hint: hint.to_owned(),
     });
     std::process::exit(3);
-}
-
-fn metrics(round: u32, has_truth: bool) -> RoundMetrics {
-    let gain = f64::from(round);
-    let record = |split, image, psnr: f64, reference| Record {
-        split,
-        image,
-        reference,
-        brightness: Brightness::Final,
-        views: 3,
-        psnr_db: psnr,
-        psnr_cc_db: psnr + 1.0,
-        ssim: psnr / 40.0,
-        lpips_squeeze: None,
-    };
-    let records = [Split::Train, Split::HeldOut]
-        .into_iter()
-        .flat_map(|split| {
-            let less = if split == Split::HeldOut { 1.5 } else { 0.0 };
-            [
-                record(split, ImageKind::Enhanced, 16.0 - less, Reference::Gt),
-                record(split, ImageKind::Deblurred, 18.0 + gain - less, Reference::Gt),
-                record(split, ImageKind::Render, 19.0 + gain - less, Reference::Gt),
-                record(split, ImageKind::Render, 26.0 + gain - less, Reference::Deblurred),
-            ]
-        })
-        .filter(|record| has_truth || record.reference != Reference::Gt)
-        .collect();
-    RoundMetrics {
-        round,
-        seconds: 1.0,
-        gaussians: 10_000,
-        steps: 1_000,
-        steps_per_second: 25.0,
-        between: None,
-        records,
-        views: Vec::new(),
-        noise_sigma: BTreeMap::from([("render".to_owned(), 0.01)]),
-        sharpness: BTreeMap::from([("render".to_owned(), 0.2)]),
-        mean_brightness: 0.4,
-        clipped: 0.01,
-        noise_ceiling_db: 30.0,
-        noise_map: None,
-        kernels: 12,
-        shake_px: Some(0.4),
-        pose_correction_px: Some(0.1),
-        non_finite_gradients: 0,
-        anchor: fled_core::enhance::Anchor::exposure(3.5),
-        matched: Vec::new(),
-        score: Some(0.7),
-        worse_than_previous: false,
-    }
 }

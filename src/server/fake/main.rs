@@ -8,6 +8,7 @@ mod death;
 mod job;
 mod protocol;
 mod saved;
+mod scores;
 mod video;
 
 use std::ffi::OsString;

@@ -28,13 +28,16 @@ fn registered(
         Some(_) => Reference::Gt,
         None => Reference::Enhanced,
     };
-    let is_asked = |comparison: &&Comparison| {
-        comparison.image == ImageKind::Render
-            && comparison.reference == reference
-            && comparison.brightness == Brightness::Final
+    let scores_of = |image, reference| {
+        let is_asked = |comparison: &&Comparison| {
+            comparison.image == image
+                && comparison.reference == reference
+                && comparison.brightness == Brightness::Final
+        };
+        comparisons.iter().find(is_asked).and_then(|comparison| comparison.scores[index])
     };
-    let comparison = comparisons.iter().find(is_asked);
-    let scores = comparison.and_then(|comparison| comparison.scores[index]);
+    let scores = scores_of(ImageKind::Render, reference);
+    let photograph = scores_of(ImageKind::Enhanced, Reference::Gt);
     ViewScore {
         name: view.name.clone(),
         registered: true,
@@ -43,6 +46,7 @@ fn registered(
         psnr_db: scores.map(|scores| scores.psnr_db),
         psnr_cc_db: scores.map(|scores| scores.psnr_cc_db),
         ssim: scores.map(|scores| scores.ssim),
+        photograph_psnr_cc_db: photograph.map(|scores| scores.psnr_cc_db),
         shake_px: Some(likenesses[index].shake_px),
         is_shaken: Some(likenesses[index].is_shaken),
         fit: Some(likenesses[index].fit),
@@ -58,6 +62,7 @@ fn without_pose(name: &str) -> ViewScore {
         psnr_db: None,
         psnr_cc_db: None,
         ssim: None,
+        photograph_psnr_cc_db: None,
         shake_px: None,
         is_shaken: None,
         fit: None,
@@ -96,16 +101,11 @@ mod tests {
         }
     }
 
-    fn comparison(reference: Reference, psnr_db: [Option<f64>; 2]) -> Comparison {
+    fn comparison(image: ImageKind, reference: Reference, psnr_db: [Option<f64>; 2]) -> Comparison {
         let scores = psnr_db.map(|psnr_db| {
             psnr_db.map(|psnr_db| Scores { psnr_db, psnr_cc_db: psnr_db + 1.0, ssim: 0.5 })
         });
-        Comparison {
-            image: ImageKind::Render,
-            reference,
-            brightness: Brightness::Final,
-            scores: scores.to_vec(),
-        }
+        Comparison { image, reference, brightness: Brightness::Final, scores: scores.to_vec() }
     }
 
     #[test]
@@ -115,8 +115,9 @@ mod tests {
             view("b", Split::Train, None),
         ];
         let comparisons = [
-            comparison(Reference::Gt, [Some(20.0), None]),
-            comparison(Reference::Enhanced, [Some(30.0), Some(31.0)]),
+            comparison(ImageKind::Render, Reference::Gt, [Some(20.0), None]),
+            comparison(ImageKind::Enhanced, Reference::Gt, [Some(15.0), None]),
+            comparison(ImageKind::Render, Reference::Enhanced, [Some(30.0), Some(31.0)]),
         ];
         let likenesses = [0.5, 2.0].map(|shake_px| Likeness {
             shake_px,
@@ -135,6 +136,8 @@ mod tests {
             ("c", false, None, None),
         ];
         assert_eq!(seen, expected);
+        let photographs: Vec<_> = rows.iter().map(|row| row.photograph_psnr_cc_db).collect();
+        assert_eq!(photographs, [Some(16.0), None, None]);
         let shakes: Vec<_> = rows.iter().map(|row| row.shake_px).collect();
         assert_eq!(shakes, [Some(0.5), Some(2.0), None]);
         let fits: Vec<_> = rows.iter().map(|row| row.fit).collect();

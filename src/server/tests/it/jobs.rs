@@ -37,7 +37,8 @@ fn a_job_goes_from_upload_to_results() {
     assert_eq!((&rounds["seed"], &rounds["best_round"]), (&7.into(), &2.into()));
     let csv = server.get(&format!("/v1/jobs/{job}/rounds?format=csv"), &[]).expect(200).text();
     // Without ground truth: the enhanced and the deblurred views, and the renders.
-    assert_eq!(csv.lines().count(), 1 + 2 * 2);
+    // Without ground truth a round has the renders of two splits, and a row per photograph.
+    assert_eq!(csv.lines().count(), 1 + 2 * (2 + 4));
     let log = server.get(&format!("/v1/jobs/{job}/log?limit=3"), &[]).expect(200).json();
     assert_eq!((log["lines"].as_array().expect("lines").len(), &log["end"]), (3, &false.into()));
 }
