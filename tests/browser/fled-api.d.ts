@@ -18,5 +18,6 @@ export type Session = Schemas["Session"];
 export type Share = Schemas["Share"];
 export type Shares = Schemas["Shares"];
 export type StageTime = Schemas["StageTime"];
+export type ViewScore = Schemas["ViewScore"];
 export type Worker = Schemas["Worker"];
 export type Workers = Schemas["Workers"];

@@ -2,6 +2,7 @@
 
 import { address, api, count, fold, folding, h, nothing, plain, prose, section, show, size } from "../lib/dom.js";
 import { contents } from "../lib/contents.js";
+import { byView } from "./by_view.js";
 import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
 import { jobHead } from "./head.js";
@@ -9,10 +10,11 @@ import { logView } from "./log.js";
 import { hasTruth, metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
 import { leftOut, strip } from "../lib/photographs.js";
-import { poses } from "./poses.js";
+import { camerasMap } from "./poses.js";
 import { scenePanel } from "../scene/panel.js";
 import { shares } from "./share.js";
 import { summary } from "./summary.js";
+import { notable } from "./verdict.js";
 import { isOver } from "../lib/state.js";
 import { SEEN, trainingView } from "./training.js";
 import { hasWebGl } from "../lib/webgl.js";
@@ -39,6 +41,7 @@ export function jobPage(main, who, id) {
   const filmed = videos(id, isVisitor);
   const exported = folding("Export");
   const views = comparison(id);
+  const scores = byView(views.open);
   const scene = scenePanel(id);
   // If the browser draws the scene, the server need not turn it.
   const novel = hasWebGl() ? null : novelView(id);
@@ -46,10 +49,10 @@ export function jobPage(main, who, id) {
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // The important parts come first, because on a phone the rest is far below.
-  const bar = contents(main, { training: training.root, scene: scene.root, views: views.root, metrics, files, export: exported,
+  const bar = contents(main, { training: training.root, views: views.root, scene: scene.root, scores: scores.root, metrics, files, export: exported,
     ...(novel && { novel: novel.root }), videos: filmed.root, photographs: unused, time: times, details: facts,
     ...(share && { share: share.root }), ...(log && { log: log.root }) });
-  main.append(head.root, bar.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
+  main.append(head.root, bar.root, problem, training.root, views.root, warnings, scene.root, scores.root, metrics, files,
     exported, ...(novel ? [novel.root] : []), filmed.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
@@ -101,8 +104,8 @@ export function jobPage(main, who, id) {
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
     if (!found || gone) return;
     given = found.images.length;
-    // Before the first round there is nothing else to show.
-    const isEarly = !isOver(job) && !job.stages.some((stage) => stage.round > 0);
+    // Before the first round, and if there is none, there is nothing else to show.
+    const isEarly = !job.stages.some(({ stage, round }) => (isOver(job) ? stage === "evaluate" : round > 0));
     onceRounds = () => show(unused, leftOut(found));
     show(unused, leftOut(found), isEarly && strip(found));
   }
@@ -111,7 +114,8 @@ export function jobPage(main, who, id) {
     const report = await api(`${base}/rounds`);
     if (gone) return;
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
-    show(facts, factList(report), optionList(job), report.registered !== undefined && poses(base, report));
+    show(facts, factList(report), optionList(job), report.registered !== undefined && camerasMap(base));
+    scores.update(report);
     const rounds = report.rounds.map((round) => round.round);
     const { artifacts } = await api(`${base}/artifacts`);
     if (gone) return;
@@ -124,13 +128,13 @@ export function jobPage(main, who, id) {
     scene.update(job.name || id, cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
     onceRounds();
-    if (cameras) views.update(cameras, rounds, hasTruth(report.rounds));
+    if (cameras) views.update(cameras, rounds, hasTruth(report.rounds), notable(report));
     novel?.update(rounds);
     if (job.state !== "succeeded") return;
     showFiles(artifacts);
     await capture;
     if (gone) return;
-    head.sum(summary(job, report, artifacts, given, share?.root));
+    head.sum(summary(job, report, artifacts, given, share?.root, views.open));
     filmed.open(cameras ?? []);
     show(exported, await exportList(base));
   }

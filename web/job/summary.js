@@ -1,10 +1,12 @@
-// The summary of a finished job, with its downloads and links.
+// The summary of a finished job: the verdict, what was found and done, its downloads and links.
 
-import { h, size } from "../lib/dom.js";
+import { count, h, size } from "../lib/dom.js";
 import { leap } from "../lib/place.js";
 import { took } from "../lib/state.js";
-import { METRICS } from "../lib/words.js";
-import { agreement, hasTruth, recordOf } from "./metrics.js";
+import { done, found, verdict } from "./verdict.js";
+
+/** Views named in the verdict; the list of views has the rest. */
+const NAMED = 5;
 
 /**
  * @param {import("fled-api").Job} job
@@ -12,42 +14,49 @@ import { agreement, hasTruth, recordOf } from "./metrics.js";
  * @param {{ name: string, bytes: number }[]} artifacts
  * @param {number | undefined} given Photographs of its capture, if known.
  * @param {HTMLElement | undefined} share The section that shares it, if any.
+ * @param {(name: string) => void} open Shows the pictures of a view.
  */
-export function summary(job, report, artifacts, given, share) {
-  const best = report.rounds.find(({ round }) => round === report.best_round);
+export function summary(job, report, artifacts, given, share, open) {
   const scene = artifacts.find(({ name }) => name === "scene.ply");
   const link = `/v1/jobs/${job.id}/artifacts/scene.ply`;
   const facts = [
-    ["Delivered", best && `round ${best.round} of ${report.rounds.length}`],
-    ...(best ? scores(best) : []),
     ["Total time", took(job)],
     ["Photographs used", report.registered !== undefined && `${report.registered} of ${given ?? report.views}`],
+    ["Delivered", report.best_round && `round ${report.best_round} of ${report.rounds.length}`],
   ].filter(([, value]) => value);
   return h("div", { class: "summary" },
-    h("dl", {}, facts.map(([name, value, more]) => h("div", {}, h("dt", {}, name), h("dd", {}, value, " ", more && h("span", { class: "soft" }, more))))),
+    verdictOf(report, open),
+    h("dl", {}, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
     h("div", { class: "row" },
       scene && h("a", { class: "button main", href: link, download: "scene.ply" }, `Download scene, ${size(scene.bytes)}`),
       share && h("button", { type: "button", onclick: () => leap(share) }, "Share"),
       h("span", { class: "hint" }, "Job ID ", h("code", {}, job.id), " ", navigator.clipboard && copy(job.id))));
 }
 
-/** Scores of the delivered round beside those of the photographs: `[name, value, more]`. */
-function scores(round) {
-  if (!hasTruth([round])) {
-    const own = agreement(round) ?? held(round, "render", false)?.psnr_cc_db;
-    return [["Agreement with photographs", own && `${own.toFixed(METRICS.own_psnr.digits)} dB`]];
-  }
-  const [render, only] = ["render", "enhanced"].map((image) => held(round, image, true));
-  const score = (name, key, { digits }, unit = "") => [
-    name,
-    render && render[key].toFixed(digits) + unit,
-    only && `${render?.split === "train" ? "training views" : "held out"}; enhanced ${only[key].toFixed(digits)}`,
-  ];
-  return [score("PSNR", "psnr_cc_db", METRICS.psnr_cc, " dB"), score("SSIM", "ssim", METRICS.ssim)];
+function verdictOf(report, open) {
+  const judged = verdict(report);
+  const line = (title, phrases) => phrases.length > 0 &&
+    h("p", {}, h("b", {}, title), " ", sentence(phrases));
+  return h("div", { class: "verdict" },
+    judged && h("p", { class: `judged ${judged.tone}` }, h("strong", {}, judged.figure), " ", judged.words),
+    judged && judged.views.length > 0 && exceptions(judged, report, open),
+    line("Found:", found(report)), line("Done:", done(report)),
+    judged && h("p", { class: "hint" }, judged.note));
 }
 
-const held = (round, image, isTruth) =>
-  recordOf(round, { image, split: "held_out" }, isTruth) ?? recordOf(round, { image, split: "train" }, isTruth);
+/** The views to look at, each with its pictures. */
+function exceptions({ views, isTruth }, report, open) {
+  const words = isTruth ? "Worse than the photographs" : "Unlike the photographs";
+  const links = views.slice(0, NAMED).flatMap((name, i) => [
+    i > 0 ? ", " : "", h("button", { type: "button", class: "link", onclick: () => open(name) }, name)]);
+  return h("p", { class: "bad" }, `${words} in ${views.length} of ${count(report.registered, "view")}: `,
+    links, views.length > NAMED ? ", …" : "");
+}
+
+function sentence(phrases) {
+  const text = phrases.join("; ");
+  return `${text[0].toUpperCase()}${text.slice(1)}.`;
+}
 
 /** Without TLS a page has no clipboard; the ID can be selected by hand. */
 function copy(text) {

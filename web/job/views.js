@@ -2,23 +2,29 @@
 
 import { TIMES, difference } from "../lib/difference.js";
 import { address, fold, h } from "../lib/dom.js";
+import { leap } from "../lib/place.js";
 import { split } from "../lib/split.js";
 import { thumbnails } from "../lib/strip.js";
 
 /** Width of a depth picture, px. */
 const DEPTH_WIDTH = 560;
 
-/** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
+/**
+ * Keeps the comparison up to date: `update(names, rounds, hasTruth, notable)`; `notable` has the
+ * names of the best, a typical and the poorest view if there are scores. `open(name)` goes to a
+ * view.
+ */
 export function comparison(job) {
   const choice = h("select", { "aria-label": "View" });
   const slider = split();
   const shots = thumbnails(chosen, slider);
   const about = h("p", { class: "hint" });
+  const quick = h("div", { class: "row quick", role: "group", "aria-label": "Views to look at" });
   const root = h("section", { hidden: true },
-    h("div", { class: "row" }, h("h2", {}, "Views"), h("label", { class: "push" }, "View", choice)),
+    h("div", { class: "row heading" }, h("h2", {}, "Views"), quick, choice),
     slider.root, slider.tools,
-    fold("Viewing tips", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Zoom all pictures of the view with + and −, two fingers, a double click, " +
-      "or Ctrl and the wheel. Drag a zoomed picture to move it, or use Shift and the arrow keys."), about),
+    h("div", {}, fold("Viewing tips", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Zoom all pictures of the view with + and −, two fingers, a double click, " +
+      "or Ctrl and the wheel. Drag a zoomed picture to move it, or use Shift and the arrow keys."), about)),
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
@@ -26,6 +32,11 @@ export function comparison(job) {
   const sides = { left: "inputs", right: null };
   let [all, drawn] = [[], 0];
   choice.addEventListener("change", rebuild);
+
+  function pick(name) {
+    choice.value = name;
+    rebuild();
+  }
 
   const at = (path) => `/v1/jobs/${job}/artifacts/${address(path)}`;
 
@@ -75,6 +86,7 @@ export function comparison(job) {
     all = pictures(choice.value);
     shots.fill(all);
     for (const picture of before) picture.forget?.();
+    for (const button of quick.children) button.setAttribute("aria-pressed", String(button.value === choice.value));
     draw();
   }
 
@@ -99,19 +111,28 @@ export function comparison(job) {
     draw();
   }
 
-  function update(names, rounds, hasTruth) {
-    const now = JSON.stringify([names, rounds, hasTruth]);
+  function update(names, rounds, hasTruth, notable) {
+    const now = JSON.stringify([names, rounds, hasTruth, notable]);
     if (now === state || names.length === 0) return;
     state = now;
     facts = { names, rounds, hasTruth };
     about.textContent = `${hasTruth ? TO_TRUTH : TO_ENHANCED} In depth pictures, near is bright, far is dark, and black is empty.`;
-    const view = choice.value;
+    const view = choice.value || notable?.typical;
+    quick.replaceChildren(...Object.entries(notable ?? {}).map(([word, value]) =>
+      h("button", { type: "button", value, onclick: () => pick(value) }, `${word[0].toUpperCase()}${word.slice(1)}`)));
     choice.replaceChildren(...names.map((one) => h("option", { value: one.name, selected: one.name === view },
       one.split === "held_out" ? `${one.name} (held out)` : one.name)));
     root.hidden = false;
     rebuild();
   }
-  return { root, update };
+  return {
+    root,
+    update,
+    open(name) {
+      pick(name);
+      leap(root);
+    },
+  };
 }
 
 const TO_TRUTH = `The difference compares the best round's render, at its final brightness, with the ground truth. It is absolute and ${TIMES} times as bright. ` +

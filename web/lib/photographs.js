@@ -25,7 +25,7 @@ const [SHOWN, MOST] = [0.4, 12];
  * @param {Capture} capture
  * @param {Capture["images"][number]} image
  */
-function thumbnail(capture, { name, brightness }) {
+export function thumbnail(capture, { name, brightness }) {
   if (brightness === undefined) return null;
   const image = h("img", { alt: "", loading: "lazy", src: `/v1/captures/${capture.id}/thumbnails/${address(name)}` });
   image.style.filter = `brightness(${Math.min(MOST, Math.max(1, SHOWN / Math.max(brightness, 1e-3))).toFixed(2)})`;

@@ -5,8 +5,10 @@ import { at, gestures, zoomKey } from "./gestures.js";
 import { gains, values } from "./light.js";
 import { zoom } from "./zoom.js";
 
-/** Height limit of the comparison, px. */
-const LARGEST_HEIGHT = 560;
+/** Height limit of the comparison, as a share of the window's. */
+const TALLEST = 0.8;
+/** Smaller pictures are enlarged to this width, px. */
+const NARROWEST = 420;
 /** A press this close to the bar drags the bar, also when zoomed, px. */
 const GRIP = 24;
 const STEP = 0.05;
@@ -110,9 +112,10 @@ export function split() {
     event.preventDefault();
   });
   for (const { image } of [below, top]) image.addEventListener("load", balance);
-  // Small pictures are enlarged, tall ones fitted to the screen.
+  // Pictures have their own size; tall ones are fitted to the window.
   below.image.addEventListener("load", () => {
-    root.style.maxWidth = `${Math.min(720, (LARGEST_HEIGHT * below.image.naturalWidth) / below.image.naturalHeight)}px`;
+    const { naturalWidth: width, naturalHeight: height } = below.image;
+    root.style.maxWidth = `${Math.round(Math.min(Math.max(width, NARROWEST), (TALLEST * innerHeight * width) / height))}px`;
   });
   place(0.5);
   view.follow(draw);
