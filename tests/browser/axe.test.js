@@ -74,6 +74,13 @@ const PAGES = {
       await page.locator(".pair img").first().waitFor();
     },
   ],
+  "list-table": [
+    async () => (await stand.finished(), await failed(), "#/"),
+    async (page) => {
+      await button(page, "Table").click();
+      await page.locator("tbody .pair img").first().waitFor();
+    },
+  ],
   finished: [
     async () => `#/jobs/${await stand.finished()}`,
     async (page) => {

@@ -39,12 +39,18 @@ export class Browser {
     return this.chromium.close();
   }
 
+  /** Pages opened from now on find that their user has chosen a table of jobs, not cards. */
+  choosesTable() {
+    const localStorage = [{ name: "fled list", value: "table" }];
+    this.remembered = { cookies: [], origins: [{ origin: this.base, localStorage }] };
+  }
+
   /**
    * Opens the page at `hash`, passes it to `judge(page, faults)` and fails if faults remain. Always
    * saves its last state as `screenshots/NAME.png`.
    */
   async visit(name, hash, judge, viewport = DESKTOP, further = {}) {
-    const context = await this.chromium.newContext({ viewport, acceptDownloads: true, ...further });
+    const context = await this.chromium.newContext({ viewport, acceptDownloads: true, storageState: this.remembered, ...further });
     context.setDefaultTimeout(PATIENCE);
     const page = await context.newPage();
     const faults = watch(page, this.base);

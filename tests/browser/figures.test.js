@@ -41,7 +41,7 @@ const PAGES = {
   "a finished job": async () => `#/jobs/${await stand.finished()}`,
 };
 const READY = {
-  "the list": (page) => page.locator("table a").first().waitFor(),
+  "the list": (page) => page.locator(".gallery a").first().waitFor(),
   "a finished job": (page) => page.locator(".summary").waitFor(),
 };
 

@@ -13,6 +13,7 @@ let server;
 before(async () => {
   stand = await Stand.start();
   ({ server } = stand);
+  stand.browser.choosesTable();
   await server.reached(await stand.job("few_poses", "a failed (job)"), "failed");
   await stand.finished();
 });
@@ -42,7 +43,8 @@ both("a finished job shows a photograph before and after restoration", async (wi
       );
       assert.match(sources[0], /\/inputs\/000\.jpg$/);
       assert.match(sources[1], /\/rounds\/2\/renders\/000\.jpg$/);
-      assert.equal(await page.locator("tr", { hasText: FAILED }).locator("img").count(), 0);
+      const only = page.locator("tr", { hasText: FAILED }).locator("img");
+      await until("it has a photograph", async () => (await only.count()) === 1 && loaded(only));
       const first = await pair.first().elementHandle();
       await page.getByLabel("Search").fill("finished");
       await shows(page, [FINISHED]);

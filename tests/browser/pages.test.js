@@ -21,6 +21,7 @@ let server;
 before(async () => {
   stand = await Stand.start();
   ({ server } = stand);
+  stand.browser.choosesTable();
 });
 
 after(() => stand?.stop());
@@ -261,8 +262,9 @@ both("options are a list and can all be read", async (width) =>
     await seen(names, "Camera poses");
   }, width));
 
-both("a single word stays on one line in the list", async (width) => {
+test("a single word stays on one line in the list", async () => {
   await stand.finished();
+  // A phone's compact list leaves the preset out.
   await stand.visit("badge", "", async (page) => {
     const cell = page.locator("tbody td", { hasText: /^preview$/ }).first().locator("div");
     const lines = await cell.evaluate((node) => {
@@ -271,7 +273,7 @@ both("a single word stays on one line in the list", async (width) => {
       return new Set([...range.getClientRects()].map((box) => Math.round(box.top))).size;
     });
     assert.equal(lines, 1);
-  }, width);
+  });
 });
 
 test("the labels of a chart's grid differ, however close its values are", () => {

@@ -2,7 +2,7 @@
 
 import { ask } from "../lib/dialog.js";
 import { api, count, h, nothing, section, send, show, when } from "../lib/dom.js";
-import { jobTable } from "./list.js";
+import { jobTable } from "./jobs.js";
 import { optionsForm } from "../upload/options.js";
 import { positions } from "../job/poses.js";
 import { captureWarnings, photographs, used } from "../lib/photographs.js";

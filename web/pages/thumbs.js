@@ -1,12 +1,17 @@
 // A pair of thumbnails per job: one of its dark photographs, and the same view restored.
 
 import { address, api, h } from "../lib/dom.js";
+import { thumbnail } from "../lib/photographs.js";
 
 /** Parallel requests; a list must not use up the client's rate limit. */
 const AT_ONCE = 3;
 
-/** Makes the pair of a job, loads it when it comes near, and reuses it when redrawn. */
-export function thumbs() {
+/**
+ * Makes the pair of a job, loads it when it comes near, and reuses it when redrawn. A job without a
+ * render has a photograph of its capture. `also(job)` loads what else is shown with it.
+ * @param {(job: import("fled-api").Job) => unknown} also
+ */
+export function thumbs(also = () => null) {
   const made = new Map();
   const waiting = [];
   let busy = 0;
@@ -32,12 +37,11 @@ export function thumbs() {
 
   function pairOf(job) {
     const round = restored(job);
-    if (!round) return "";
     const known = made.get(job.id);
     if (known?.round === round) return known;
     const pair = Object.assign(h("span", { class: "pair" }), {
       round,
-      load: () => fill(pair, job.id, round),
+      load: () => Promise.all([round ? fill(pair, job.id, round) : photograph(pair, job), also(job)]),
     });
     made.set(job.id, pair);
     near.observe(pair);
@@ -77,4 +81,12 @@ async function fill(pair, id, round) {
     picture("inputs", `Photograph ${view.name}`),
     picture(`rounds/${round}/renders`, "Restored view"),
   );
+}
+
+/** The first photograph of a job's capture. */
+async function photograph(pair, job) {
+  const capture = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
+  const image = capture?.images.find(({ accepted }) => accepted);
+  const small = image && thumbnail(capture, image);
+  if (small) pair.append(small);
 }
