@@ -33,6 +33,7 @@ export function jobHead(base, refresh, who) {
   const problem = h("p", { class: "problem", role: "alert" });
   const result = h("div");
   const again = h("a", { class: "button" }, "Run again with other options");
+  const more = h("a", { class: "button main", href: "#/" }, "Upload more photographs");
   const tags = h("span", { class: "tags" });
   const change = action("Edit", () => edit(job));
   change.hidden = false;
@@ -45,9 +46,9 @@ export function jobHead(base, refresh, who) {
     remove: action("Delete", removed, (job) =>
       ask(`Delete job “${job.name || "unnamed"}”?`, "This permanently deletes its scene, pictures and scores. The photographs are kept.", "Delete job"), "danger"),
   };
+  const actions = h("span", { class: "row push" }, buttons.cancel, more, buttons.retry, change, compare, again, buttons.remove);
   const root = h("section", { hidden: true },
-    h("div", { class: "row" }, title, state, tags, line, !isVisitor &&
-      h("span", { class: "row push" }, buttons.cancel, buttons.retry, change, compare, again, buttons.remove)),
+    h("div", { class: "row" }, title, state, tags, line, !isVisitor && actions),
     isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem, result);
   /** @type {import("fled-api").Job | null} */
   let job = null;
@@ -126,6 +127,10 @@ export function jobHead(base, refresh, who) {
       buttons.retry.hidden = !["failed", "cancelled"].includes(job.state);
       buttons.remove.hidden = job.state === "running";
       again.hidden = !isOver(job);
+      const isFew = job.error?.code === "few_poses" && isOver(job);
+      more.hidden = !isFew;
+      // The same photographs would fail again.
+      if (isFew && actions.lastChild !== buttons.retry) actions.append(buttons.retry);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;
       showKeeping();
       priority.update(job);
@@ -136,6 +141,7 @@ export function jobHead(base, refresh, who) {
       }
       setBar(bar, job);
       bar.hidden = job.state === "succeeded";
+      bar.className = job.state;
       if (!bar.hidden) result.replaceChildren();
       error.textContent = job.error ? failure(job.error) : "";
       meaning.textContent = job.error ? advice(job.error) : "";

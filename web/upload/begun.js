@@ -34,5 +34,23 @@ export const begun = {
     for (const [path, file] of files) delete all[mark(path, file)];
     write(all);
   },
-  count: () => Object.keys(read()).length,
+  /** Marks these `[path, file]` pairs as complete, but refused as photographs of a job. */
+  refuse(files) {
+    const all = read();
+    for (const [path, file] of files) {
+      const entry = all[mark(path, file)];
+      if (entry) entry.isRefused = true;
+    }
+    write(all);
+  },
+  /** The ids of the uploads that the server may still have, by whether they were refused. */
+  left() {
+    const all = Object.values(read());
+    const ids = (isRefused) => all.filter((one) => Boolean(one.isRefused) === isRefused).map(({ id }) => id);
+    return { refused: ids(true), interrupted: ids(false) };
+  },
+  /** Forgets uploads by their ids. */
+  drop(ids) {
+    write(Object.fromEntries(Object.entries(read()).filter(([, { id }]) => !ids.includes(id))));
+  },
 };

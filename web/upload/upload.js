@@ -3,6 +3,7 @@
 import { begun } from "./begun.js";
 import { Refusal, api, count, duration, h, send, size } from "../lib/dom.js";
 import { takeDrops } from "./dropped.js";
+import { leftovers } from "./leftover.js";
 import { looked } from "./looked.js";
 import { optionsForm } from "./options.js";
 import { sending } from "./sending.js";
@@ -40,10 +41,7 @@ export function startForm() {
       input.value = "";
     });
   }
-  const left = begun.count();
-  if (left > 0) {
-    drop.append(h("p", { class: "hint" }, `An interrupted upload left ${count(left, "file")} on the server, complete or in part. Choose the same files again to continue where it stopped.`));
-  }
+  drop.append(...leftovers());
   let [run, gone, isCancelled] = [null, false, false];
   const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
 
@@ -209,6 +207,8 @@ function upload(files, fields, show) {
     } catch (error) {
       // Uploads that the server has lost are sent again the next time.
       if (error.status === 404) begun.forget(files);
+      // Otherwise they are complete: it is no interrupted upload.
+      else if (error.capture) begun.refuse(files);
       throw withRejected(error);
     }
   }
@@ -228,8 +228,9 @@ async function again(ask) {
   return ask().catch((error) => { throw error instanceof Refusal ? error : new Error("The server is not responding."); });
 }
 
+/** Adds the rejected files that the message does not name. */
 function withRejected(error) {
-  const rejected = (error.capture?.images ?? []).filter((image) => !image.accepted);
+  const rejected = (error.capture?.images ?? []).filter((image) => !image.accepted && !error.message.includes(image.name));
   const lines = rejected.slice(0, NAMED).map((image) => `${image.name}: ${image.reason ?? "rejected"}`);
   if (rejected.length > NAMED) lines.push(`and ${rejected.length - NAMED} more`);
   error.message = [error.message, ...lines].join("\n");
