@@ -41,6 +41,18 @@ both("captures are listed and can be opened by keyboard", async (width) => {
   }, width);
 });
 
+both("the list of captures has a picture, the size and the jobs of each", async (width) => {
+  await stand.finished();
+  await stand.visit("captures-list", "#/captures", async (page) => {
+    const row = page.locator("tbody tr", { hasText: "a finished <b>job</b>" }).last();
+    await seen(row.locator("[data-label='Size, px']"), "240 × 160");
+    await until("its picture is there", () => loaded(row.locator("img")));
+    const job = row.locator("[data-label='Newest jobs']").getByRole("link", { name: "a finished <b>job</b>" });
+    await job.click();
+    await seen(page.getByRole("heading", { level: 1 }), "a finished <b>job</b>");
+  }, width);
+});
+
 both("a finished job can be run again with other options", async (width) => {
   const id = await stand.finished();
   await stand.visit("again", `#/jobs/${id}`, async (page) => {

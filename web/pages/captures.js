@@ -1,10 +1,13 @@
 // The list of captures.
 
 import { api, count, h, refill, when } from "../lib/dom.js";
-import { rejected } from "../lib/photographs.js";
+import { rejected, thumbnail } from "../lib/photographs.js";
 import { row, table } from "../lib/table.js";
 
-const COLUMNS = [{ title: "Name" }, { title: "Photographs" }, { title: "Not used" }, { title: "Warnings" }, { title: "Uploaded", class: "soft" }];
+const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Name" }, { title: "Photographs" }, { title: "Size, px", class: "word" },
+  { title: "Not used" }, { title: "Warnings" }, { title: "Newest jobs" }, { title: "Uploaded", class: "soft" }];
+/** Jobs named for each capture. */
+const NAMED = 3;
 /** The API's largest page. */
 const MOST = 200;
 /** Delay after a failed request. */
@@ -27,8 +30,11 @@ export function capturesPage(main) {
     try {
       /** @type {import("fled-api").Captures} */
       const page = await api(`/v1/captures?limit=${limit}`);
+      /** @type {import("fled-api").Jobs} */
+      const { jobs } = await api(`/v1/jobs?limit=${MOST}`);
       if (gone) return;
-      refill(list.tBodies[0], page.captures.map((capture) => row(COLUMNS, cells(capture))));
+      refill(list.tBodies[0], page.captures.map((capture) =>
+        row(COLUMNS, cells(capture, jobs.filter((job) => job.capture_id === capture.id)))));
       list.hidden = page.captures.length === 0;
       empty.hidden = page.captures.length > 0;
       more.hidden = !page.next_cursor || limit >= MOST;
@@ -43,10 +49,26 @@ export function capturesPage(main) {
   return () => { gone = true; clearTimeout(timer); };
 }
 
-/** @param {import("fled-api").Capture} capture */
-function cells(capture) {
+/**
+ * @param {import("fled-api").Capture} capture
+ * @param {import("fled-api").Job[]} jobs Its jobs among the server's newest.
+ */
+function cells(capture, jobs) {
   const out = rejected(capture).length;
   const warned = capture.images.filter((image) => image.warnings.length > 0).length;
-  return [h("a", { href: `#/captures/${capture.id}` }, capture.name || "unnamed"), String(capture.accepted),
-    out > 0 ? h("span", { class: "bad" }, String(out)) : "", warned > 0 ? `on ${count(warned, "photograph")}` : "", when(capture.created_at)];
+  const first = capture.images.find((image) => image.accepted);
+  return [first ? thumbnail(capture, first) : "", h("a", { href: `#/captures/${capture.id}` }, capture.name || "unnamed"), String(capture.accepted), sizes(capture),
+    out > 0 ? h("span", { class: "bad" }, String(out)) : "", warned > 0 ? `on ${count(warned, "photograph")}` : "", jobs.length > 0 ? named(jobs) : "", when(capture.created_at)];
+}
+
+/** The size of its photographs, if they all have the same. */
+function sizes({ images }) {
+  const all = new Set(images.filter(({ accepted }) => accepted).map(({ width, height }) => `${width} × ${height}`));
+  return all.size > 1 ? "different" : [...all].join("");
+}
+
+function named(jobs) {
+  const rest = jobs.length - NAMED;
+  return h("span", {}, jobs.slice(0, NAMED).flatMap((job, i) => [i > 0 ? ", " : "", h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed")]),
+    rest > 0 ? ` and ${rest} more` : "");
 }
