@@ -125,7 +125,7 @@ export function jobPage(main, who, id) {
       [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
       if (gone) return;
     }
-    scene.update(job.name || id, cameras ?? [], artifacts, report.best_round);
+    scene.update(job.name || id, cameras ?? [], artifacts, report.best_round, notable(report)?.best);
     if (rounds.length === 0) return;
     onceRounds();
     if (cameras) views.update(cameras, rounds, hasTruth(report.rounds), notable(report));

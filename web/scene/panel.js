@@ -65,13 +65,17 @@ export function scenePanel(job, headers = {}) {
   return {
     root,
     leave,
-    /** Takes the name, cameras and files of the job; `best` is the delivered round. */
-    update(name, cameras, artifacts, best) {
+    /**
+     * Takes the name, cameras and files of the job; `best` is the delivered round. `place` names the
+     * view to start from, if known: that which the scene shows best.
+     */
+    update(name, cameras, artifacts, best, place = "") {
       const scenes = scenesOf(job, artifacts, best);
       root.hidden = scenes.length === 0 || cameras.length === 0;
       if (root.hidden) return;
       const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
-      const start = cameras[Math.floor(cameras.length / 2)].name;
+      const middle = cameras[Math.floor(cameras.length / 2)];
+      const start = (cameras.find((camera) => camera.name === place) ?? middle).name;
       facts = { name, scenes, first, start };
       if (!isOpening) invite();
       bytes.textContent = size(first.bytes);

@@ -37,7 +37,7 @@ export function sceneTools(cameras, stage, does) {
     h("div", { class: "row tools" },
       h("div", { class: "row joint" }, press("‹", step(-1), "Previous photograph"), choice,
         press("›", step(1), "Next photograph")),
-      press("Reset", does.reset, "Reset the view"),
+      press("Best view", does.reset, "Back to the best view"),
       h("label", { class: "check" }, lines, "Cameras"), exposure.root,
       lens.root, speed.root, rounds.root,
       h("div", { class: "row push ends" }, picture, full,

@@ -28,7 +28,8 @@ const LONGEST_STEP = 100;
 const BACK = 1.7;
 const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
   + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape returns the wheel and the keys to the page.";
-/** Shown for touch, above the lower edge of the picture. */
+/** Shown above the lower edge of the picture until the first movement; the others for touch. */
+const MOUSE = "Drag to turn, wheel to zoom, W A S D to walk";
 const UNTOUCHED = "Tap to move through the scene";
 const FINGERS = "One finger turns, two pan and zoom. Tap beside the picture to scroll the page.";
 /** A degree, radians. */
@@ -48,6 +49,8 @@ export async function openScene(place, { job, headers, name, scenes, first, star
   const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`, { headers });
   const view = new View({ job, headers, name }, cameras, scenes, ended);
   place.replaceChildren(view.stage);
+  // The canvas, its tools and its hint fit the window; they shall all be in it.
+  view.stage.scrollIntoView({ block: "nearest" });
   view.begin(first, Math.max(0, cameras.findIndex(({ name }) => name === start)));
   return view;
 }
@@ -90,7 +93,7 @@ class View {
     if (!this.drawer) throw new SceneError(NO_WEBGL);
     this.lines = h("canvas", { class: "lines" });
     this.veil = h("div", { class: "veil", role: "status" });
-    this.thumb = h("p", { class: "thumb" }, h("span", { class: "out" }, UNTOUCHED), h("span", { class: "in" }, FINGERS));
+    this.thumb = h("p", { class: "thumb" }, h("span", { class: "mouse" }, MOUSE), h("span", { class: "out" }, UNTOUCHED), h("span", { class: "in" }, FINGERS));
     this.frame = h("div", {
       class: "frame", tabIndex: 0, role: "application",
       "aria-label": "Scene in 3D: arrow keys look around, W A S D walk, Q and E move down and up",
