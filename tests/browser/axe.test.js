@@ -74,13 +74,6 @@ const PAGES = {
       await page.locator(".pair img").first().waitFor();
     },
   ],
-  "list-table": [
-    async () => (await stand.finished(), await failed(), "#/"),
-    async (page) => {
-      await button(page, "Table").click();
-      await page.locator("tbody .pair img").first().waitFor();
-    },
-  ],
   finished: [
     async () => `#/jobs/${await stand.finished()}`,
     async (page) => {
@@ -102,6 +95,13 @@ const PAGES = {
     async (page) => {
       await button(page, "Delete").click();
       await page.getByRole("dialog").waitFor();
+    },
+  ],
+  "list-table": [
+    async () => (await stand.finished(), await failed(), "#/"),
+    async (page) => {
+      await button(page, "Table").click();
+      await page.locator("tbody .pair img").first().waitFor();
     },
   ],
   captures: [

@@ -52,7 +52,7 @@ both("a large gain is the first thing that a finished job says", async (width) =
     assert.deepEqual(await lines(page), [
       "5.0 dB better than brightening alone: a large gain",
       "Found: 2 of 8 photographs are shaken, up to 7 px; exposures differ by up to 1.2 stops; the photographs are 3.5 stops too dark.",
-      "Done: Brightened by 3.5 stops; exposures evened; the shake of 3 photographs removed; noise 2.0 times weaker.",
+      "Done: Brightened by 3.5 stops; exposures evened; the shake of 3 photographs corrected; noise 2.0 times weaker.",
       "Compared with the ground truth of this capture.",
     ]);
     assert.ok(await onScreen(page.locator(".judged")), "on the first screen");
@@ -92,6 +92,7 @@ both("a result worse than brightening says so", async (width) =>
     assert.equal(judged, "0.8 dB worse than brightening alone");
     assert.match(worse, /^Worse than the photographs in 8 of 8 views: 000, 001, 002, 003, 004, …$/);
     assert.equal(await page.locator(".judged.worse").count(), 1);
+    assert.match((await lines(page))[3], /^Done: .* corrected\.$/, "weak noise is no merit of a blurred scene");
   }, width));
 
 both("without ground truth the verdict is agreement, and says that it is not quality", async (width) =>

@@ -31,10 +31,10 @@ const SPLITS = ["held_out", "train"];
 export const delivered = (report) => report.rounds.find(({ round }) => round === report.best_round);
 
 /**
- * `{ tone, figure, words, note, views, isTruth }`: `tone` is `good`, `little` or `worse`, `figure` the one
- * number in dB, `words` what it means, `note` on its reference, and `views` the names of those that
- * are worse than (with ground truth), or unlike, their photographs. `null` if a report of an earlier
- * version lacks the scores.
+ * `{ tone, figure, words, note, views, isTruth }`: `tone` is `good`, `little` or `worse`, `figure`
+ * the one number in dB, `words` what it means, `note` on its reference, and `views` the names of
+ * those that are worse than (with ground truth), or unlike, their photographs. `null` if a report
+ * of an earlier version lacks the scores.
  * @param {any} report The report of a job's rounds.
  */
 export function verdict(report) {
@@ -152,8 +152,9 @@ export function done(report) {
     best.anchor?.ev > LIMITS.visible && `brightened by ${stops(best.anchor.ev)}`,
     spread(report) >= LIMITS.visible &&
       (report.exposure.share > 0 ? "exposures evened" : "exposures left as taken"),
-    best.kernels > 0 && `the shake of ${count(best.kernels, "photograph")} removed`,
-    weaker >= LIMITS.weaker && `noise ${weaker.toFixed(weaker < 10 ? 1 : 0)} times weaker`,
+    best.kernels > 0 && `the shake of ${count(best.kernels, "photograph")} corrected`,
+    // A blurred scene has little noise, too.
+    verdict(report)?.tone !== "worse" && weaker >= LIMITS.weaker && `noise ${weaker.toFixed(weaker < 10 ? 1 : 0)} times weaker`,
   ].filter(Boolean);
 }
 
