@@ -47,6 +47,7 @@ both("the list of captures has a picture, the size and the jobs of each", async 
     const row = page.locator("tbody tr", { hasText: "a finished <b>job</b>" }).last();
     await seen(row.locator("[data-label='Size, px']"), "240 × 160");
     await until("its picture is there", () => loaded(row.locator("img")));
+    await picture(page, `page-captures-list-${width}`);
     const job = row.locator("[data-label='Newest jobs']").getByRole("link", { name: "a finished <b>job</b>" });
     await job.click();
     await seen(page.getByRole("heading", { level: 1 }), "a finished <b>job</b>");
