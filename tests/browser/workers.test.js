@@ -30,6 +30,7 @@ let server;
 before(async () => {
   stand = await Stand.start({ FLED_FAKE_ABOUT: JSON.stringify(ABOUT) });
   ({ server } = stand);
+  stand.browser.choosesTable();
 });
 
 after(() => stand?.stop());
