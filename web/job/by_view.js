@@ -112,7 +112,7 @@ function sorted(rows, { of }, isFalling) {
 }
 
 function rowsOf(report) {
-  const views = new Map((delivered(report) ?? report.rounds.at(-1))?.views.map((view) => [view.name, view]));
+  const views = new Map((delivered(report) ?? report.rounds.at(-1))?.views?.map((view) => [view.name, view]));
   const light = report.exposure?.views ?? {};
   return places(report).map(({ name, status, matches, fitting, error_px: error, fit }) => {
     const view = views.get(name);

@@ -27,8 +27,14 @@ export const LIMITS = {
 
 const SPLITS = ["held_out", "train"];
 
-/** The delivered round; `undefined` before the first. */
-export const delivered = (report) => report.rounds.find(({ round }) => round === report.best_round);
+/**
+ * The delivered round; `undefined` before the first. Reports of earlier versions have no rows by
+ * view.
+ */
+export function delivered(report) {
+  const best = report.rounds.find(({ round }) => round === report.best_round);
+  return best && { ...best, views: best.views ?? [], noise_sigma: best.noise_sigma ?? {} };
+}
 
 /**
  * `{ tone, figure, words, note, views, isTruth }`: `tone` is `good`, `little` or `worse`, `figure`
@@ -161,7 +167,7 @@ export function done(report) {
 /** Names of the views with the best, a typical and the poorest score. */
 export function notable(report) {
   const scored = (delivered(report) ?? report.rounds.at(-1))?.views
-    .map((view) => ({ name: view.name, score: gained(view) ?? view.psnr_cc_db }))
+    ?.map((view) => ({ name: view.name, score: gained(view) ?? view.psnr_cc_db }))
     .filter(({ score }) => Number.isFinite(score)) ?? [];
   if (scored.length === 0) return null;
   const sorted = scored.toSorted((a, b) => a.score - b.score);
