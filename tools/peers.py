@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Checks scene.ply independently: splat-transform reads it, and the published formulas render it.
+"""Checks scenes independently: other programs read scene.ply and exports, and the published formulas render it.
 
     make test-peers
 
-Installs splat-transform under .peers/, makes a small capture, trains it for 200 steps, and has two scenes judged: the
+Installs splat-transform and three.js under .peers/, makes a small capture, trains it for 200 steps, and has two scenes judged: the
 trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says why when a judge disagrees.
 """
 
@@ -17,17 +17,26 @@ import subprocess
 import sys
 from pathlib import Path
 
+import formats
 import plyfile
 
 TOP = Path(__file__).resolve().parent.parent
 FOLDER, TRAINING = TOP / ".peers", TOP / "training"
+READER = TOP / "tools" / "peers.mjs"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # The newest version that runs on Node 18, the version of Debian 12.
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
+THREE = "three@0.187.0"
 SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5", "--blur", "2", "--noise", "0.005"]
 OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off", "pose_source=given"]
 # Tolerance of a compressed scene: a step of an opacity, half a step of a harmonic. The bounds of the rest are exact.
 SLACK = {"opacity": 0.004, "f_rest_": 0.0157}
+# The largest differences that formats and readers make; colours and harmonics in three are bytes. The least share of
+# Gaussians that are found again: the others have a twin.
+TOLERANCES = {
+    "scene.glb": {"position": 1e-5, "size": 0.01, "shape": 0.01, "colour": 0.003, "opacity": 0.003, "harmonics": 0.006},
+}
+FOUND = 0.99
 # The summary has six digits or six decimals: half of the last one, relative and absolute.
 ROUNDING = 5.1e-6, 5.1e-7
 
@@ -49,18 +58,18 @@ def said(*words):
     print(*words, flush=True)
 
 
-def install_splat_transform():
-    """Installs the command from npm, without its install scripts: they fetch a WebGPU library that reading does not use."""
-    folder = FOLDER / "npm"
+def install_programs():
+    """Installs both from npm, without their install scripts: they fetch a WebGPU library that reading does not use."""
+    folder, packages = FOLDER / "npm", [SPLAT_TRANSFORM, THREE]
     stamp, program = folder / "installed", folder / "node_modules" / ".bin" / "splat-transform"
-    if not (stamp.is_file() and stamp.read_text() == SPLAT_TRANSFORM):
+    if not (stamp.is_file() and stamp.read_text() == "\n".join(packages)):
         if not shutil.which("npm"):
             raise SystemExit("npm is missing: run `apt-get install nodejs npm` as root, then again")
-        said(f"installing {SPLAT_TRANSFORM} from npm into .peers/npm")
+        said(f"installing {' and '.join(packages)} from npm into .peers/npm")
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
-        run(["npm", "install", "--prefix", folder, "--ignore-scripts", "--no-audit", "--no-fund", SPLAT_TRANSFORM])
-        stamp.write_text(SPLAT_TRANSFORM)
+        run(["npm", "install", "--prefix", folder, "--ignore-scripts", "--no-audit", "--no-fund", *packages])
+        stamp.write_text("\n".join(packages))
     return program
 
 
@@ -171,6 +180,25 @@ def judge_compressed(program, fled, folder, count):
     said(f"splat-transform: compressed to {share:.0%}, {len(bounds)} properties agree")
 
 
+def judge_by_three(fled, folder, name):
+    """Compares an export read by three.js with the numbers of the scene."""
+    file = folder.with_name(f"{folder.name}.{name}")
+    run([fled, "export", folder, name, "-o", file])
+    text = subprocess.run(["node", READER, FOLDER / "npm", file], stdout=subprocess.PIPE, check=True).stdout
+    ours = formats.y_up(formats.of_ply(folder / "scene.ply"))
+    judged("three.js", file, name, ours, formats.of_three(text))
+
+
+def judged(who, file, name, ours, theirs):
+    """Says how far apart both are, and fails if that is too far."""
+    apart, found = formats.differences(ours, theirs)
+    far = [part for part, most in TOLERANCES[name].items() if not apart[part] <= most]
+    shown = ", ".join(f"{part} {value:.2g}" for part, value in apart.items())
+    if far or found < FOUND:
+        raise SystemExit(f"{who} reads {file} otherwise: {shown}; {found:.1%} found again")
+    said(f"{who}: {name} of {file.stat().st_size} bytes, apart by {shown}")
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fled", type=Path, default=TOP / "target" / "release" / "fled")
@@ -180,7 +208,7 @@ def main():
         raise SystemExit(f"{fled} is missing: make build")
     os.environ.setdefault("ORT_DYLIB_PATH", str(LIBRARY))
     FOLDER.mkdir(exist_ok=True)
-    program = install_splat_transform()
+    program = install_programs()
     said("a scene of 200 steps")
     trained, count = train(fled)
     strange = FOLDER / "strange"
@@ -190,6 +218,7 @@ def main():
         pictures = render(fled, folder)
         judge_by_splat_transform(program, folder, expected)
         judge_compressed(program, fled, folder, expected)
+        judge_by_three(fled, folder, "scene.glb")
         said(run([sys.executable, TRAINING / "judge.py", folder, pictures]).rstrip())
 
 

@@ -1,5 +1,5 @@
 //! Exports of a finished result for use elsewhere: its pictures, its cameras with them, its scene
-//! at a fraction of its size.
+//! in other formats.
 //!
 //! Each is written sequentially, so a caller can stream it while it is being made. Missing inputs
 //! are reported before that.
@@ -16,7 +16,7 @@ use zip::write::{SimpleFileOptions, StreamWriter};
 
 use crate::camera::NamedCamera;
 use crate::gaussians::ply::{self, Scene};
-use crate::gaussians::{Y00, compressed};
+use crate::gaussians::{Y00, compressed, glb};
 use crate::poses::model::SparseModel;
 use crate::run_folder::{RoundPictures, RunFolder};
 
@@ -37,11 +37,13 @@ pub enum Export {
     Colmap,
     /// The scene as compressed PLY.
     CompressedScene,
+    /// The scene as binary glTF.
+    Gltf,
 }
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 3] = [Self::Restored, Self::Colmap, Self::CompressedScene];
+    pub const ALL: [Self; 4] = [Self::Restored, Self::Colmap, Self::CompressedScene, Self::Gltf];
 
     /// The name of its file.
     pub fn name(self) -> &'static str {
@@ -49,6 +51,7 @@ impl Export {
             Self::Restored => "restored.zip",
             Self::Colmap => "colmap.zip",
             Self::CompressedScene => "scene.compressed.ply",
+            Self::Gltf => "scene.glb",
         }
     }
 
@@ -63,6 +66,10 @@ impl Export {
             Self::CompressedScene => {
                 "The scene at a quarter of its size or less, rounded too little to be visible, for \
                  SuperSplat, PlayCanvas and other viewers."
+            }
+            Self::Gltf => {
+                "The scene as binary glTF, unrounded, for three.js, Babylon.js, Cesium and other \
+                 programs that read glTF."
             }
         }
     }
@@ -82,9 +89,12 @@ impl Export {
                 Content::Colmap { views, scene, gaussians }
             }
             Self::CompressedScene => {
-                let (gaussians, sh_degree) = ply::read_extent(&scene)?;
-                let bytes = compressed::bytes_of(gaussians, sh_degree);
-                Content::Scene { scene, bytes }
+                let bytes = extent(&scene, compressed::bytes_of)?;
+                Content::Scene { scene, bytes, write_to: compressed::write_to }
+            }
+            Self::Gltf => {
+                let bytes = extent(&scene, glb::bytes_of)?;
+                Content::Scene { scene, bytes, write_to: glb::write_to }
             }
         }))
     }
@@ -115,8 +125,11 @@ struct Picture {
 enum Content {
     Pictures(Vec<Picture>),
     Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
-    Scene { scene: PathBuf, bytes: u64 },
+    Scene { scene: PathBuf, bytes: u64, write_to: WriteScene },
 }
+
+/// Writes a scene in some format.
+type WriteScene = fn(&Scene, &mut dyn Write) -> io::Result<()>;
 
 /// An export that is ready to be written.
 #[derive(Debug)]
@@ -164,12 +177,18 @@ impl Prepared {
                 }
                 archive.finish()
             }
-            Content::Scene { scene, .. } => {
+            Content::Scene { scene, write_to, .. } => {
                 let mut out = io::BufWriter::new(out);
-                compressed::write_to(&ply::read(scene)?, &mut out).map_err(ExportError::Write)
+                write_to(&ply::read(scene)?, &mut out).map_err(ExportError::Write)
             }
         }
     }
+}
+
+/// The size of a scene in a format that has `bytes_of` a number of Gaussians and a degree.
+fn extent(scene: &Path, bytes_of: fn(usize, u32) -> u64) -> Result<u64, ExportError> {
+    let (gaussians, sh_degree) = ply::read_extent(scene)?;
+    Ok(bytes_of(gaussians, sh_degree))
 }
 
 /// A zip whose entries are compressed while streaming.

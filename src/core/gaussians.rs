@@ -1,12 +1,20 @@
 //! The scene: 3D Gaussians as a structure of arrays, in the parameterisation that is trained.
 
 pub mod compressed;
+pub mod glb;
 pub mod ply;
 
 use glam::DVec3;
 
 /// Y_0^0, the constant harmonic.
 pub(crate) const Y00: f32 = 0.282_094_8;
+
+/// Whether each harmonic changes sign when y and z do: 1; y, z, x; xy, yz, 2zz-xx-yy, xz, xx-yy;
+/// y(3xx-yy), xyz, y(4zz-xx-yy), z(2zz-3xx-3yy), x(4zz-xx-yy), z(xx-yy), x(xx-3yy).
+const ODD_IN_YZ: [bool; 16] = [
+    false, true, true, false, true, false, false, true, false, true, false, true, true, false,
+    true, false,
+];
 
 /// N Gaussians. Every array holds N rows, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -68,6 +76,18 @@ impl Gaussians {
         ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize
     }
 
+    /// The opacity of Gaussian `index`, 0 to 1.
+    pub fn opacity(&self, index: usize) -> f64 {
+        1.0 / (1.0 + (-f64::from(self.opacity_logits[index])).exp())
+    }
+
+    /// The rotation of Gaussian `index` as a unit quaternion w, x, y, z.
+    pub fn rotation(&self, index: usize) -> [f64; 4] {
+        let quat = self.quats[index].map(f64::from);
+        let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt();
+        quat.map(|q| q / length)
+    }
+
     /// Whether all numbers of Gaussian `index` are finite and its quaternion has a direction.
     pub fn is_usable(&self, index: usize) -> bool {
         let row = 3 * self.coefficients();
@@ -112,6 +132,27 @@ impl Gaussians {
         }
     }
 
+    /// The same Gaussians after half a turn about x, which makes y point up and z backwards. Only
+    /// signs change.
+    #[must_use]
+    pub fn turned_y_up(&self) -> Self {
+        let row = 3 * self.coefficients();
+        let mut turned = self.clone();
+        for [_, y, z] in &mut turned.means {
+            (*y, *z) = (-*y, -*z);
+        }
+        // The axes of an ellipsoid have no sign, so conjugation by the turn suffices.
+        for [_, _, y, z] in &mut turned.quats {
+            (*y, *z) = (-*y, -*z);
+        }
+        for sh in turned.sh.chunks_exact_mut(row) {
+            for (rgb, is_odd) in sh.chunks_exact_mut(3).zip(ODD_IN_YZ) {
+                rgb.iter_mut().filter(|_| is_odd).for_each(|value| *value = -*value);
+            }
+        }
+        turned
+    }
+
     /// The same Gaussians with harmonics of `degree`: truncated, or padded with zeros.
     #[must_use]
     pub fn with_sh_degree(&self, degree: u32) -> Self {
@@ -124,6 +165,9 @@ impl Gaussians {
         Self { sh, sh_degree: degree, ..self.clone() }
     }
 }
+
+#[cfg(test)]
+mod fixtures;
 
 #[cfg(test)]
 mod tests {
@@ -145,5 +189,34 @@ mod tests {
         let base = 0.5 + 0.282_094_8 * mapped.sh[0];
         assert!((base - 0.25).abs() < 1e-6, "{base}");
         assert!((mapped.sh[3] - 0.1).abs() < 1e-7, "{}", mapped.sh[3]);
+    }
+    #[test]
+    fn a_scene_turned_y_up_looks_the_same_from_cameras_turned_with_it() {
+        use crate::splat::reference::harmonics::basis;
+        let turn = |[x, y, z]: [f64; 3]| [x, -y, -z];
+        let scene = fixtures::scattered(20, 3.0, 3);
+        let turned = scene.turned_y_up();
+        let colour = |scene: &Gaussians, index: usize, direction| -> [f64; 3] {
+            let (sh, basis) = (&scene.sh[48 * index..][..48], basis(direction));
+            let channel = |c: usize| (0..16).map(|k| f64::from(sh[3 * k + c]) * basis[k]).sum();
+            std::array::from_fn(channel)
+        };
+        // Where an axis of the ellipsoid ends, up to its sign.
+        let axis = |scene: &Gaussians, index: usize, axis: usize| {
+            let [w, x, y, z] = scene.rotation(index);
+            glam::DQuat::from_xyzw(x, y, z, w) * DVec3::AXES[axis]
+        };
+        for index in 0..scene.len() {
+            assert_eq!(turned.means[index].map(f64::from), turn(scene.means[index].map(f64::from)));
+            let [x, y, z, _] = scene.quats[index].map(f64::from);
+            let direction = DVec3::new(x, y, z).normalize().to_array();
+            let (ours, theirs) =
+                (colour(&scene, index, direction), colour(&turned, index, turn(direction)));
+            assert!((0..3).all(|c| (ours[c] - theirs[c]).abs() < 1e-9), "{ours:?} {theirs:?}");
+            for side in 0..3 {
+                let ours = DVec3::from(turn(axis(&scene, index, side).to_array()));
+                assert!(ours.dot(axis(&turned, index, side)).abs() > 1.0 - 1e-9);
+            }
+        }
     }
 }

@@ -14,8 +14,7 @@ use crate::failure::{Failure, io};
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// Export to write: restored.zip, colmap.zip or scene.compressed.ply.
-    #[arg(value_name = "FORM")]
+    #[arg(value_name = "FORM", help = forms())]
     export: Export,
     /// Output file [default: that name in the current folder].
     #[arg(short, long, value_name = "FILE")]
@@ -23,6 +22,10 @@ pub struct Args {
     /// Exports this round instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
+}
+
+fn forms() -> String {
+    format!("Export to write: {}", Export::ALL.map(Export::name).join(", "))
 }
 
 /// Writes one export.

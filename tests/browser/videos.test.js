@@ -101,7 +101,8 @@ both("exports for other programs are downloaded from the page", async (width) =>
   const id = await finished(`exported ${width}`);
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Export");
-    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat" };
+    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat",
+      "scene.glb": "glTF" };
     for (const [name, begin] of Object.entries(begins)) {
       const link = section.getByRole("link", { name, exact: true });
       const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);

@@ -86,7 +86,7 @@ fn impossible_videos_and_exports_explain_why() {
         &["video"][..],
         &["video", "--orbit", "--cameras"],
         &["video", "--cameras", "--degrees", "9"],
-        &["export", "scene.spz"],
+        &["export", "scene.obj"],
     ] {
         let output = made(wrong, &nothing, &out);
         assert_eq!(code(&output), 2, "{wrong:?}: {}", said(&output));

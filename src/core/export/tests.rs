@@ -143,6 +143,6 @@ fn missing_inputs_are_reported_before_anything_is_written() {
     fs::write(run.cameras(), "[{").expect("written");
     let error = Export::Colmap.prepare(&run, None).expect_err("damaged");
     assert!(!error.is_missing() && error.to_string().contains("cameras.json"));
-    let unknown = "scene.spz".parse::<Export>().expect_err("unknown");
+    let unknown = "scene.obj".parse::<Export>().expect_err("unknown");
     assert!(unknown.contains("scene.compressed.ply"), "{unknown}");
 }

@@ -35,7 +35,7 @@ pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_to(scene: &Scene, out: &mut impl Write) -> io::Result<()> {
+pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let gaussians = &*in_file(&scene.gaussians, &scene.normalisation);
     let order = along_curve(gaussians);
     out.write_all(header(order.len(), scene).as_bytes())?;
@@ -168,13 +168,12 @@ impl Chunk {
     fn pack(&self, gaussians: &Gaussians, row: usize) -> [u32; 4] {
         let [means, scales, colours] = &self.ranges;
         let [r, g, b] = colours.shares(colour(gaussians, row));
-        let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
         // Readers compute a logit, so neither opacity nor transparency may be 0.
-        let opacity = unorm(opacity, 8).clamp(1, 254);
+        let opacity = unorm(gaussians.opacity(row), 8).clamp(1, 254);
         let rgb = [r, g, b].map(|share| unorm(share, 8));
         [
             pack_11_10_11(means.shares(gaussians.means[row])),
-            pack_rotation(gaussians.quats[row]),
+            pack_rotation(gaussians.rotation(row)),
             pack_11_10_11(scales.shares(gaussians.log_scales[row])),
             rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | opacity,
         ]
@@ -193,14 +192,13 @@ fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
 
 /// The index of the largest of w, x, y, z, then the three others, which are below the root of a
 /// half.
-fn pack_rotation(quat: [f32; 4]) -> u32 {
-    let quat = quat.map(f64::from);
+fn pack_rotation(quat: [f64; 4]) -> u32 {
     let largest = (1..4).fold(0, |best, i| if quat[i].abs() > quat[best].abs() { i } else { best });
     // A rotation equals its negative: make the largest positive, so it need not be stored.
-    let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt() * quat[largest].signum();
+    let sign = quat[largest].signum();
     let others = (0..4).filter(|&i| i != largest);
     others.fold(largest as u32, |packed, i| {
-        let share = quat[i] / length * std::f64::consts::FRAC_1_SQRT_2 + 0.5;
+        let share = quat[i] * sign * std::f64::consts::FRAC_1_SQRT_2 + 0.5;
         packed << 10 | unorm(share, 10)
     })
 }

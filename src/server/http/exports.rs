@@ -177,6 +177,7 @@ fn media_type(export: Export) -> &'static str {
     match export {
         Export::Restored | Export::Colmap => "application/zip",
         Export::CompressedScene => "application/octet-stream",
+        Export::Gltf => "model/gltf-binary",
     }
 }
 

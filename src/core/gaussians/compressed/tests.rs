@@ -1,24 +1,6 @@
-use rand::{RngExt, SeedableRng};
-use rand_pcg::Pcg64Mcg;
-
+use super::super::fixtures::scattered;
 use super::*;
 use crate::camera::normalisation::Normalisation;
-
-/// Gaussians in a cube with this side, with harmonics of this degree.
-fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
-    let mut random = Pcg64Mcg::seed_from_u64(7);
-    let mut number = |from: f32, to: f32| random.random_range(from..to);
-    let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
-    let mut scene = Gaussians { sh_degree, ..Gaussians::default() };
-    for _ in 0..count {
-        scene.means.push([0; 3].map(|_| number(0.0, side)));
-        scene.quats.push([0; 4].map(|_| number(-1.0, 1.0)));
-        scene.log_scales.push([0; 3].map(|_| number(-7.0, -1.0)));
-        scene.opacity_logits.push(number(-5.0, 5.0));
-        scene.sh.extend((0..row).map(|_| number(-1.5, 1.5)));
-    }
-    scene
-}
 
 /// The scene's file: its header, and the rest.
 fn written(scene: &Gaussians) -> (String, Vec<u8>) {
@@ -116,7 +98,7 @@ fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 6] {
 #[test]
 fn a_round_trip_differs_by_at_most_half_a_step() {
     for degree in 0..=3 {
-        let scene = scene(1000, 8.0, degree);
+        let scene = scattered(1000, 8.0, degree);
         let (header, body) = written(&scene);
         assert!(header.contains("element chunk 4\n") && header.contains("element vertex 1000\n"));
         assert_eq!(header.contains("element sh 1000\n"), degree > 0);
@@ -136,7 +118,7 @@ fn a_round_trip_differs_by_at_most_half_a_step() {
 
 #[test]
 fn a_distant_gaussian_affects_only_its_own_chunk() {
-    let mut scene = scene(2000, 1.0, 0);
+    let mut scene = scattered(2000, 1.0, 0);
     scene.means[77] = [1e4, -1e4, 1e4];
     let expected = scene.select(&along_curve(&scene));
     let back = read(&written(&scene).1, 2000, 1);
@@ -148,7 +130,7 @@ fn a_distant_gaussian_affects_only_its_own_chunk() {
 
 #[test]
 fn non_finite_values_are_left_out_and_an_empty_scene_is_written() {
-    let mut scene = scene(10, 1.0, 1);
+    let mut scene = scattered(10, 1.0, 1);
     scene.means[3][1] = f32::NAN;
     let (header, body) = written(&scene);
     assert!(header.contains("element vertex 9\n"));
@@ -159,7 +141,7 @@ fn non_finite_values_are_left_out_and_an_empty_scene_is_written() {
 
 #[test]
 fn out_of_range_opacities_and_harmonics_stay_finite() {
-    let mut scene = scene(2, 1.0, 1);
+    let mut scene = scattered(2, 1.0, 1);
     scene.opacity_logits = vec![-60.0, 60.0];
     scene.sh[4] = 1e9;
     scene.sh[5] = -1e9;

@@ -8,7 +8,7 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 3] = ["restored.zip", "colmap.zip", "scene.compressed.ply"];
+const FORMS: [&str; 4] = ["restored.zip", "colmap.zip", "scene.compressed.ply", "scene.glb"];
 
 fn names(reply: &Reply) -> Vec<String> {
     let archive = ZipArchive::new(Cursor::new(&reply.body)).expect("a zip");
@@ -47,7 +47,7 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     }
     let scene = get("/scene.compressed.ply");
     assert!(scene.body.starts_with(b"ply\nformat binary_little_endian 1.0\nelement chunk 4\n"));
-    get("/scene.spz").expect(404);
+    get("/scene.obj").expect(404);
     get("/restored.zip?round=9").expect(404);
     get("/restored.zip?rounds=1").expect(422);
 }

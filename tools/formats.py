@@ -1,0 +1,107 @@
+"""What other programs read in an exported scene, compared with scene.ply."""
+
+import json
+
+import numpy as np
+import plyfile
+from scipy.spatial import cKDTree
+
+Y00 = 0.28209479177387814
+# The harmonics that are odd in y and z together: they change sign in a world with y up.
+ODD = [0, 1, 3, 6, 8, 10, 11, 13]
+# A Gaussian is recognised by its place first, in shares of the scene, then by all else times this.
+WEIGHT = 0.01
+
+
+def covariances(rotations, scales):
+    """Covariances xx, xy, xz, yy, yz, zz [N, 6] of quaternions w x y z [N, 4] and axes [N, 3]."""
+    w, x, y, z = (rotations / np.linalg.norm(rotations, axis=1, keepdims=True)).T
+    rows = [[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]]
+    axes = np.moveaxis(np.array(rows), 2, 0) * scales[:, None, :]
+    matrices = axes @ np.swapaxes(axes, 1, 2)
+    return matrices[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+
+
+def of_ply(path):
+    """The Gaussians of a PLY file in the layout of 3DGS."""
+    vertices = plyfile.PlyData.read(path)["vertex"].data
+
+    def columns(*names):
+        return np.stack([vertices[name].astype(float) for name in names], axis=1)
+
+    rest = sum(name.startswith("f_rest_") for name in vertices.dtype.names)
+    higher = columns(*(f"f_rest_{n}" for n in range(rest))) if rest else np.zeros((len(vertices), 0))
+    return {
+        "position": columns("x", "y", "z"),
+        "covariance": covariances(columns("rot_0", "rot_1", "rot_2", "rot_3"), np.exp(columns("scale_0", "scale_1", "scale_2"))),
+        "colour": 0.5 + Y00 * columns("f_dc_0", "f_dc_1", "f_dc_2"),
+        "opacity": 1 / (1 + np.exp(-columns("opacity"))),
+        "harmonics": np.swapaxes(higher.reshape(len(vertices), 3, rest // 3), 1, 2),
+    }
+
+
+def of_three(text):
+    """The Gaussians that peers.mjs prints."""
+    read = json.loads(text)
+    count = read["count"]
+    colours = np.array(read["colour"]).reshape(count, 4) / 255
+    bands = [np.array(band["bytes"]).reshape(count, band["row"])[:, :3 * (2 * degree + 1)]
+             for degree, band in enumerate(read["harmonics"], 1)]
+    higher = (np.concatenate(bands, axis=1) if bands else np.zeros((count, 0))) / 128 - 1
+    return {
+        "position": np.array(read["position"]).reshape(count, 3) + read["translation"],
+        "covariance": np.array(read["covariance"]).reshape(count, 6),
+        "colour": colours[:, :3], "opacity": colours[:, 3:],
+        "harmonics": higher.reshape(count, higher.shape[1] // 3, 3),
+    }
+
+
+def y_up(scene):
+    """The same Gaussians after half a turn about x."""
+    signs = np.ones(scene["harmonics"].shape[1])
+    signs[[n for n in ODD if n < len(signs)]] = -1
+    return scene | {
+        "position": scene["position"] * [1, -1, -1], "covariance": scene["covariance"] * [1, -1, -1, 1, 1, 1],
+        "harmonics": scene["harmonics"] * signs[:, None],
+    }
+
+
+def trace(scene):
+    return scene["covariance"][:, [0, 3, 5]].sum(axis=1, keepdims=True)
+
+
+def paired(ours, theirs):
+    """The indices of our Gaussians that theirs are. Some are copies of each other but for one number."""
+    size = np.ptp(ours["position"], axis=0).max()
+
+    def features(scene):
+        harmonics = np.clip(scene["harmonics"].reshape(len(scene["position"]), -1), -1, 1)
+        about = [np.clip(scene["colour"], 0, 1), scene["opacity"], np.log(trace(scene)) / 2, harmonics]
+        return np.hstack([scene["position"] / size, scene["covariance"] / trace(scene) * WEIGHT]
+                         + [WEIGHT * values for values in about])
+
+    return cKDTree(features(ours)).query(features(theirs))[1]
+
+
+def differences(ours, theirs):
+    """The largest difference of each part, and the share of our Gaussians that theirs have.
+
+    Positions relative to the scene's longest side; shapes as covariances over their trace; sizes as the logarithm of the
+    trace; colours and harmonics within the range that bytes have.
+    """
+    if len(ours["position"]) != len(theirs["position"]) or ours["harmonics"].shape != theirs["harmonics"].shape:
+        raise SystemExit(f"{theirs['harmonics'].shape} Gaussians and harmonics, ours are {ours['harmonics'].shape}")
+    at = paired(ours, theirs)
+    ours = {name: values[at] for name, values in ours.items()}
+    traces = trace(ours), trace(theirs)
+    apart = {
+        "position": (ours["position"] - theirs["position"]) / np.ptp(ours["position"], axis=0).max(),
+        "size": np.log(traces[0] / traces[1]) / 2,
+        "shape": ours["covariance"] / traces[0] - theirs["covariance"] / traces[1],
+        "colour": np.clip(ours["colour"], 0, 1) - np.clip(theirs["colour"], 0, 1),
+        "opacity": ours["opacity"] - theirs["opacity"],
+        "harmonics": np.clip(ours["harmonics"], -1, 127 / 128) - np.clip(theirs["harmonics"], -1, 127 / 128),
+    }
+    return {name: float(np.abs(values).max(initial=0)) for name, values in apart.items()}, len(set(at)) / len(at)
