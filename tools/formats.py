@@ -85,15 +85,17 @@ def paired(ours, theirs):
     return cKDTree(features(ours)).query(features(theirs))[1]
 
 
-def differences(ours, theirs):
+def differences(ours, theirs, is_in_order=True):
     """The largest difference of each part, and the share of our Gaussians that theirs have.
+
+    Unless they are in our order, each of theirs is compared with the one that it is most like.
 
     Positions relative to the scene's longest side; shapes as covariances over their trace; sizes as the logarithm of the
     trace; colours and harmonics within the range that bytes have.
     """
     if len(ours["position"]) != len(theirs["position"]) or ours["harmonics"].shape != theirs["harmonics"].shape:
         raise SystemExit(f"{theirs['harmonics'].shape} Gaussians and harmonics, ours are {ours['harmonics'].shape}")
-    at = paired(ours, theirs)
+    at = np.arange(len(ours["position"])) if is_in_order else paired(ours, theirs)
     ours = {name: values[at] for name, values in ours.items()}
     traces = trace(ours), trace(theirs)
     apart = {

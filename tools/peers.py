@@ -33,8 +33,11 @@ OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off",
 SLACK = {"opacity": 0.004, "f_rest_": 0.0157}
 # The largest differences that formats and readers make; colours and harmonics in three are bytes. The least share of
 # Gaussians that are found again: the others have a twin.
+SPZ = {"position": 1e-6, "size": 0.032, "shape": 0.06, "colour": 0.006, "opacity": 0.003, "harmonics": 0.063}
 TOLERANCES = {
     "scene.glb": {"position": 1e-5, "size": 0.01, "shape": 0.01, "colour": 0.003, "opacity": 0.003, "harmonics": 0.006},
+    "scene.v3.spz": SPZ,
+    "scene.spz": SPZ,
 }
 FOUND = 0.99
 # The summary has six digits or six decimals: half of the last one, relative and absolute.
@@ -189,6 +192,18 @@ def judge_by_three(fled, folder, name):
     judged("three.js", file, name, ours, formats.of_three(text))
 
 
+def judge_converted(program, folder, name):
+    """Compares an export that `judge_by_three` has seen, read by splat-transform, with the numbers of the scene.
+
+    This version of splat-transform turns SPZ back to the axes of PLY files, as the format says; 3.7.0 does not.
+    """
+    file = folder.with_name(f"{folder.name}.{name}")
+    read = file.with_name(file.name + ".read.ply")
+    run([program, "--overwrite", file, read])
+    ours = formats.of_ply(folder / "scene.ply")
+    judged("splat-transform", file, name, ours, formats.of_ply(read))
+
+
 def judged(who, file, name, ours, theirs):
     """Says how far apart both are, and fails if that is too far."""
     apart, found = formats.differences(ours, theirs)
@@ -219,6 +234,9 @@ def main():
         judge_by_splat_transform(program, folder, expected)
         judge_compressed(program, fled, folder, expected)
         judge_by_three(fled, folder, "scene.glb")
+        for name in ("scene.v3.spz", "scene.spz"):
+            judge_by_three(fled, folder, name)
+            judge_converted(program, folder, name)
         said(run([sys.executable, TRAINING / "judge.py", folder, pictures]).rstrip())
 
 

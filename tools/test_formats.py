@@ -20,8 +20,18 @@ def scene(seed=1, count=40):
 class Differences(unittest.TestCase):
     def test_the_same_gaussians_in_another_order_are_equal(self):
         ours = scene()
-        apart, found = formats.differences(ours, {name: values[::-1] for name, values in ours.items()})
+        apart, found = formats.differences(ours, {name: values[::-1] for name, values in ours.items()}, False)
         self.assertEqual((set(apart.values()), found), ({0.0}, 1.0))
+
+    def test_another_order_is_a_difference_where_order_counts(self):
+        ours = scene()
+        apart, _ = formats.differences(ours, {name: values[::-1] for name, values in ours.items()})
+        self.assertGreater(min(apart.values()), 0.1)
+
+    def test_a_missing_gaussian_in_place_of_a_twin_is_counted(self):
+        ours = scene()
+        theirs = {name: np.concatenate([values[:1], values[:-1]]) for name, values in ours.items()}
+        self.assertEqual(formats.differences(ours, theirs, False)[1], 39 / 40)
 
     def test_each_part_that_differs_is_seen(self):
         for name, part, change in [

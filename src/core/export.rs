@@ -16,7 +16,7 @@ use zip::write::{SimpleFileOptions, StreamWriter};
 
 use crate::camera::NamedCamera;
 use crate::gaussians::ply::{self, Scene};
-use crate::gaussians::{Y00, compressed, glb};
+use crate::gaussians::{Y00, compressed, glb, spz};
 use crate::poses::model::SparseModel;
 use crate::run_folder::{RoundPictures, RunFolder};
 
@@ -39,11 +39,22 @@ pub enum Export {
     CompressedScene,
     /// The scene as binary glTF.
     Gltf,
+    /// The scene as SPZ, compressed by gzip.
+    SpzVersion3,
+    /// The scene as SPZ, compressed by Zstandard.
+    Spz,
 }
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 4] = [Self::Restored, Self::Colmap, Self::CompressedScene, Self::Gltf];
+    pub const ALL: [Self; 6] = [
+        Self::Restored,
+        Self::Colmap,
+        Self::CompressedScene,
+        Self::Gltf,
+        Self::SpzVersion3,
+        Self::Spz,
+    ];
 
     /// The name of its file.
     pub fn name(self) -> &'static str {
@@ -52,6 +63,8 @@ impl Export {
             Self::Colmap => "colmap.zip",
             Self::CompressedScene => "scene.compressed.ply",
             Self::Gltf => "scene.glb",
+            Self::SpzVersion3 => "scene.v3.spz",
+            Self::Spz => "scene.spz",
         }
     }
 
@@ -71,6 +84,14 @@ impl Export {
                 "The scene as binary glTF, unrounded, for three.js, Babylon.js, Cesium and other \
                  programs that read glTF."
             }
+            Self::SpzVersion3 => {
+                "The scene at a sixth of its size, as SPZ version 3, for Spark, Babylon.js, \
+                 three.js and phones."
+            }
+            Self::Spz => {
+                "The same as SPZ version 4, a little smaller, for PlayCanvas, Babylon.js and \
+                 three.js; others know only version 3."
+            }
         }
     }
 
@@ -89,13 +110,11 @@ impl Export {
                 Content::Colmap { views, scene, gaussians }
             }
             Self::CompressedScene => {
-                let bytes = extent(&scene, compressed::bytes_of)?;
-                Content::Scene { scene, bytes, write_to: compressed::write_to }
+                Content::scene(scene, compressed::bytes_of, compressed::write_to)?
             }
-            Self::Gltf => {
-                let bytes = extent(&scene, glb::bytes_of)?;
-                Content::Scene { scene, bytes, write_to: glb::write_to }
-            }
+            Self::Gltf => Content::scene(scene, glb::bytes_of, glb::write_to)?,
+            Self::SpzVersion3 => Content::scene(scene, spz::bytes_of, spz::write_version_3)?,
+            Self::Spz => Content::scene(scene, spz::bytes_of, spz::write_version_4)?,
         }))
     }
 }
@@ -130,6 +149,18 @@ enum Content {
 
 /// Writes a scene in some format.
 type WriteScene = fn(&Scene, &mut dyn Write) -> io::Result<()>;
+
+impl Content {
+    /// A scene in a format that has `bytes_of` a number of Gaussians and a degree.
+    fn scene(
+        scene: PathBuf,
+        bytes_of: fn(usize, u32) -> u64,
+        write_to: WriteScene,
+    ) -> Result<Self, ExportError> {
+        let (gaussians, sh_degree) = ply::read_extent(&scene)?;
+        Ok(Self::Scene { bytes: bytes_of(gaussians, sh_degree), scene, write_to })
+    }
+}
 
 /// An export that is ready to be written.
 #[derive(Debug)]
@@ -183,12 +214,6 @@ impl Prepared {
             }
         }
     }
-}
-
-/// The size of a scene in a format that has `bytes_of` a number of Gaussians and a degree.
-fn extent(scene: &Path, bytes_of: fn(usize, u32) -> u64) -> Result<u64, ExportError> {
-    let (gaussians, sh_degree) = ply::read_extent(scene)?;
-    Ok(bytes_of(gaussians, sh_degree))
 }
 
 /// A zip whose entries are compressed while streaming.

@@ -176,7 +176,7 @@ impl Write for Pipe<'_> {
 fn media_type(export: Export) -> &'static str {
     match export {
         Export::Restored | Export::Colmap => "application/zip",
-        Export::CompressedScene => "application/octet-stream",
+        Export::CompressedScene | Export::SpzVersion3 | Export::Spz => "application/octet-stream",
         Export::Gltf => "model/gltf-binary",
     }
 }

@@ -1,4 +1,4 @@
-use super::super::fixtures::scattered;
+use super::super::fixtures::{differences, scattered};
 use super::*;
 use crate::camera::normalisation::Normalisation;
 
@@ -55,44 +55,6 @@ fn read(body: &[u8], count: usize, coefficients: usize) -> Gaussians {
         scene.sh.extend(rest);
     }
     scene
-}
-
-fn normalised(quat: [f32; 4]) -> [f32; 4] {
-    let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
-    quat.map(|q| q / length)
-}
-
-/// The largest difference of each part: means, scales, colours, opacities, rotations, harmonics.
-fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 6] {
-    let most = |pairs: &mut dyn Iterator<Item = (f32, f32)>| {
-        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
-    };
-    let flat = |a: &[[f32; 3]], b: &[[f32; 3]]| {
-        let pairs = a.as_flattened().iter().zip(b.as_flattened());
-        most(&mut pairs.map(|(a, b)| (*a, *b)))
-    };
-    let sigmoid = |logit: f32| 1.0 / (1.0 + (-logit).exp());
-    let opacities = a.opacity_logits.iter().zip(&b.opacity_logits);
-    let cosine = |(a, b): (&[f32; 4], &[f32; 4])| {
-        let (a, b) = (normalised(*a), normalised(*b));
-        (0..4).map(|i| a[i] * b[i]).sum::<f32>().abs().min(1.0)
-    };
-    let turns = a.quats.iter().zip(&b.quats).map(cosine);
-    let row = 3 * a.coefficients();
-    let sh = a.sh.iter().zip(&b.sh).enumerate();
-    let of = |base: bool| {
-        let pairs = sh.clone().filter(move |(i, _)| (i % row < 3) == base);
-        most(&mut pairs.map(|(_, (a, b))| (*a, *b)))
-    };
-    [
-        flat(&a.means, &b.means),
-        flat(&a.log_scales, &b.log_scales),
-        Y00 * of(true),
-        most(&mut opacities.map(|(a, b)| (sigmoid(*a), sigmoid(*b)))),
-        // Radians.
-        2.0 * turns.fold(1.0, f32::min).acos(),
-        of(false),
-    ]
 }
 
 #[test]

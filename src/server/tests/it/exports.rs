@@ -8,7 +8,14 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 4] = ["restored.zip", "colmap.zip", "scene.compressed.ply", "scene.glb"];
+const FORMS: [&str; 6] = [
+    "restored.zip",
+    "colmap.zip",
+    "scene.compressed.ply",
+    "scene.glb",
+    "scene.v3.spz",
+    "scene.spz",
+];
 
 fn names(reply: &Reply) -> Vec<String> {
     let archive = ZipArchive::new(Cursor::new(&reply.body)).expect("a zip");
