@@ -4,13 +4,10 @@ import json
 
 import numpy as np
 import plyfile
-from scipy.spatial import cKDTree
 
 Y00 = 0.28209479177387814
 # The harmonics that are odd in y and z together: they change sign in a world with y up.
 ODD = [0, 1, 3, 6, 8, 10, 11, 13]
-# A Gaussian is recognised by its place first, in shares of the scene, then by all else times this.
-WEIGHT = 0.01
 
 
 def covariances(rotations, scales):
@@ -72,31 +69,25 @@ def trace(scene):
     return scene["covariance"][:, [0, 3, 5]].sum(axis=1, keepdims=True)
 
 
-def paired(ours, theirs):
-    """The indices of our Gaussians that theirs are. Some are copies of each other but for one number."""
-    size = np.ptp(ours["position"], axis=0).max()
-
-    def features(scene):
-        harmonics = np.clip(scene["harmonics"].reshape(len(scene["position"]), -1), -1, 1)
-        about = [np.clip(scene["colour"], 0, 1), scene["opacity"], np.log(trace(scene)) / 2, harmonics]
-        return np.hstack([scene["position"] / size, scene["covariance"] / trace(scene) * WEIGHT]
-                         + [WEIGHT * values for values in about])
-
-    return cKDTree(features(ours)).query(features(theirs))[1]
+def along_curve(scene):
+    """The same Gaussians along the Morton curve: 21 bits of x, y and z in turn, from the least significant one."""
+    places = scene["position"].astype(np.float32).astype(float)
+    width = np.ptp(places, axis=0)
+    shares = (places - places.min(axis=0)) / np.where(width > 0, width, 1)
+    steps = np.floor(shares * (2**21 - 1) + 0.5).astype(np.int64)
+    keys = sum((steps[:, axis] >> bit & 1) << 3 * bit + axis for bit in range(21) for axis in range(3))
+    order = np.argsort(keys, kind="stable")
+    return {name: values[order] for name, values in scene.items()}
 
 
-def differences(ours, theirs, is_in_order=True):
-    """The largest difference of each part, and the share of our Gaussians that theirs have.
-
-    Unless they are in our order, each of theirs is compared with the one that it is most like.
+def differences(ours, theirs):
+    """The largest difference of each part of scenes in one order.
 
     Positions relative to the scene's longest side; shapes as covariances over their trace; sizes as the logarithm of the
     trace; colours and harmonics within the range that bytes have.
     """
     if len(ours["position"]) != len(theirs["position"]) or ours["harmonics"].shape != theirs["harmonics"].shape:
         raise SystemExit(f"{theirs['harmonics'].shape} Gaussians and harmonics, ours are {ours['harmonics'].shape}")
-    at = np.arange(len(ours["position"])) if is_in_order else paired(ours, theirs)
-    ours = {name: values[at] for name, values in ours.items()}
     traces = trace(ours), trace(theirs)
     apart = {
         "position": (ours["position"] - theirs["position"]) / np.ptp(ours["position"], axis=0).max(),
@@ -106,4 +97,4 @@ def differences(ours, theirs, is_in_order=True):
         "opacity": ours["opacity"] - theirs["opacity"],
         "harmonics": np.clip(ours["harmonics"], -1, 127 / 128) - np.clip(theirs["harmonics"], -1, 127 / 128),
     }
-    return {name: float(np.abs(values).max(initial=0)) for name, values in apart.items()}, len(set(at)) / len(at)
+    return {name: float(np.abs(values).max(initial=0)) for name, values in apart.items()}

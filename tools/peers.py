@@ -31,15 +31,15 @@ SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5
 OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off", "pose_source=given"]
 # Tolerance of a compressed scene: a step of an opacity, half a step of a harmonic. The bounds of the rest are exact.
 SLACK = {"opacity": 0.004, "f_rest_": 0.0157}
-# The largest differences that formats and readers make; colours and harmonics in three are bytes. The least share of
-# Gaussians that are found again: the others have a twin.
+# The largest differences that formats and readers make; colours and harmonics in three are bytes. Harmonics in SOG are
+# those of a palette: too few for the random ones of the made-up scene, which differ by up to 0.43.
 SPZ = {"position": 1e-6, "size": 0.032, "shape": 0.06, "colour": 0.006, "opacity": 0.003, "harmonics": 0.063}
 TOLERANCES = {
     "scene.glb": {"position": 1e-5, "size": 0.01, "shape": 0.01, "colour": 0.003, "opacity": 0.003, "harmonics": 0.006},
     "scene.v3.spz": SPZ,
     "scene.spz": SPZ,
+    "scene.sog": {"position": 1e-4, "size": 0.06, "shape": 0.05, "colour": 0.01, "opacity": 0.003, "harmonics": 0.5},
 }
-FOUND = 0.99
 # The summary has six digits or six decimals: half of the last one, relative and absolute.
 ROUNDING = 5.1e-6, 5.1e-7
 
@@ -192,25 +192,24 @@ def judge_by_three(fled, folder, name):
     judged("three.js", file, name, ours, formats.of_three(text))
 
 
-def judge_converted(program, folder, name):
-    """Compares an export that `judge_by_three` has seen, read by splat-transform, with the numbers of the scene.
+def judge_converted(program, folder, name, ours):
+    """Compares an export read by splat-transform with our numbers in its order.
 
     This version of splat-transform turns SPZ back to the axes of PLY files, as the format says; 3.7.0 does not.
     """
     file = folder.with_name(f"{folder.name}.{name}")
     read = file.with_name(file.name + ".read.ply")
     run([program, "--overwrite", file, read])
-    ours = formats.of_ply(folder / "scene.ply")
     judged("splat-transform", file, name, ours, formats.of_ply(read))
 
 
 def judged(who, file, name, ours, theirs):
     """Says how far apart both are, and fails if that is too far."""
-    apart, found = formats.differences(ours, theirs)
+    apart = formats.differences(ours, theirs)
     far = [part for part, most in TOLERANCES[name].items() if not apart[part] <= most]
     shown = ", ".join(f"{part} {value:.2g}" for part, value in apart.items())
-    if far or found < FOUND:
-        raise SystemExit(f"{who} reads {file} otherwise: {shown}; {found:.1%} found again")
+    if far:
+        raise SystemExit(f"{who} reads {file} otherwise: {shown}")
     said(f"{who}: {name} of {file.stat().st_size} bytes, apart by {shown}")
 
 
@@ -236,7 +235,9 @@ def main():
         judge_by_three(fled, folder, "scene.glb")
         for name in ("scene.v3.spz", "scene.spz"):
             judge_by_three(fled, folder, name)
-            judge_converted(program, folder, name)
+            judge_converted(program, folder, name, formats.of_ply(folder / "scene.ply"))
+        run([fled, "export", folder, "scene.sog", "-o", folder.with_name(f"{folder.name}.scene.sog")])
+        judge_converted(program, folder, "scene.sog", formats.along_curve(formats.of_ply(folder / "scene.ply")))
         said(run([sys.executable, TRAINING / "judge.py", folder, pictures]).rstrip())
 
 

@@ -16,7 +16,7 @@ use zip::write::{SimpleFileOptions, StreamWriter};
 
 use crate::camera::NamedCamera;
 use crate::gaussians::ply::{self, Scene};
-use crate::gaussians::{Y00, compressed, glb, spz};
+use crate::gaussians::{Y00, compressed, glb, sog, spz};
 use crate::poses::model::SparseModel;
 use crate::run_folder::{RoundPictures, RunFolder};
 
@@ -43,17 +43,20 @@ pub enum Export {
     SpzVersion3,
     /// The scene as SPZ, compressed by Zstandard.
     Spz,
+    /// The scene as SOG.
+    Sog,
 }
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::Restored,
         Self::Colmap,
         Self::CompressedScene,
         Self::Gltf,
         Self::SpzVersion3,
         Self::Spz,
+        Self::Sog,
     ];
 
     /// The name of its file.
@@ -65,6 +68,7 @@ impl Export {
             Self::Gltf => "scene.glb",
             Self::SpzVersion3 => "scene.v3.spz",
             Self::Spz => "scene.spz",
+            Self::Sog => "scene.sog",
         }
     }
 
@@ -92,6 +96,10 @@ impl Export {
                 "The same as SPZ version 4, a little smaller, for PlayCanvas, Babylon.js and \
                  three.js; others know only version 3."
             }
+            Self::Sog => {
+                "The scene at a fifth to an eighth of its size, for PlayCanvas, SuperSplat, \
+                 Babylon.js and Spark: the smallest for many Gaussians."
+            }
         }
     }
 
@@ -115,6 +123,7 @@ impl Export {
             Self::Gltf => Content::scene(scene, glb::bytes_of, glb::write_to)?,
             Self::SpzVersion3 => Content::scene(scene, spz::bytes_of, spz::write_version_3)?,
             Self::Spz => Content::scene(scene, spz::bytes_of, spz::write_version_4)?,
+            Self::Sog => Content::scene(scene, sog::bytes_of, sog::write_to)?,
         }))
     }
 }

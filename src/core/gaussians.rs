@@ -3,6 +3,7 @@
 pub mod compressed;
 pub mod glb;
 pub mod ply;
+pub mod sog;
 pub mod spz;
 
 use glam::DVec3;

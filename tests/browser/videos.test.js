@@ -102,7 +102,8 @@ both("exports for other programs are downloaded from the page", async (width) =>
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Export");
     const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat",
-      "scene.glb": "glTF", "scene.v3.spz": "\x1f\ufffd", "scene.spz": "NGSP" };
+      "scene.glb": "glTF", "scene.v3.spz": "\x1f\ufffd", "scene.spz": "NGSP",
+      "scene.sog": "PK" };
     for (const [name, begin] of Object.entries(begins)) {
       const link = section.getByRole("link", { name, exact: true });
       const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);

@@ -94,7 +94,7 @@ fn byte(value: &f32) -> u8 {
 }
 
 /// Indices of the usable Gaussians along the Morton curve: neighbours on it are close in space.
-fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
+pub(super) fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
     let usable: Vec<usize> =
         (0..gaussians.len()).filter(|&index| gaussians.is_usable(index)).collect();
     let bounds = Range::of(usable.iter().map(|&index| gaussians.means[index]));

@@ -175,7 +175,7 @@ impl Write for Pipe<'_> {
 
 fn media_type(export: Export) -> &'static str {
     match export {
-        Export::Restored | Export::Colmap => "application/zip",
+        Export::Restored | Export::Colmap | Export::Sog => "application/zip",
         Export::CompressedScene | Export::SpzVersion3 | Export::Spz => "application/octet-stream",
         Export::Gltf => "model/gltf-binary",
     }

@@ -8,13 +8,14 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 6] = [
+const FORMS: [&str; 7] = [
     "restored.zip",
     "colmap.zip",
     "scene.compressed.ply",
     "scene.glb",
     "scene.v3.spz",
     "scene.spz",
+    "scene.sog",
 ];
 
 fn names(reply: &Reply) -> Vec<String> {
@@ -40,7 +41,10 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
         let reply = get(&format!("/{name}")).expect(200);
         let said = export["bytes"].as_u64().expect("a number");
         let sent = reply.body.len() as u64;
-        assert!(said / 2 < sent && sent < 2 * said, "{name}: {said}, {sent}");
+        // Equal balls compress better than any scene.
+        let is_compressed = name.ends_with(".spz") || name.ends_with(".sog");
+        let is_near = sent < 2 * said && (is_compressed || said / 2 < sent);
+        assert!(is_near, "{name}: {said}, {sent}");
         let disposition = reply.header("content-disposition").to_owned();
         assert_eq!(disposition, format!("attachment; filename=\"{name}\""));
     }
