@@ -54,7 +54,7 @@ enum Command {
     Render(render::Args),
     /// Makes a video of a finished run's scene.
     Video(video::Args),
-    /// Exports a finished run: restored views, a COLMAP model or a compressed scene.
+    /// Exports a finished run: restored views, a COLMAP model, or the scene in other formats.
     Export(export::Args),
     /// Makes a synthetic dark, shaken capture with ground truth.
     Synth(synth::Args),
