@@ -3,8 +3,9 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { picture } from "./browser.js";
-import { Stand, button, seen } from "./played.js";
+import { Browser, picture } from "./browser.js";
+import { Stand, button, provoked, seen } from "./played.js";
+import { Proxy } from "./proxy.js";
 import { until } from "./until.js";
 
 const PIECES = "**/v1/uploads/*";
@@ -117,3 +118,36 @@ test("an upload can be cancelled, and Start resumes it", () =>
     for (const path of done) assert.ok(!asked.slice(before).includes(path), `${path} was sent twice`);
     assert.equal(of(asked, "POST").length, new Set(pieces()).size, "every file was begun once");
   }, "phone"));
+
+/** Starts a photograph of some megabytes, through a proxy that refuses larger bodies. */
+async function throughProxy(name, largest, judge) {
+  const proxy = await Proxy.start(stand.server.base, "", largest);
+  const browser = await Browser.start(proxy.base);
+  browser.isReady = true;
+  try {
+    await browser.visit(name, "", async (page, faults) => {
+      const large = { name: "large.jpg", mimeType: "image/jpeg", buffer: Buffer.alloc(5 << 20, 7) };
+      await page.getByLabel("Choose files").setInputFiles(large);
+      await page.getByText("1 file chosen").waitFor();
+      await button(page, "Start").click();
+      await judge(page, proxy.refused);
+      provoked(faults, "4(13|22)");
+    });
+  } finally {
+    await browser.stop();
+    await proxy.stop();
+  }
+}
+
+test("pieces shrink until a proxy lets them pass", () =>
+  throughProxy("sending-shrunk", 1 << 20, async (page, refused) => {
+    // The server has received all of it, and says what is wrong with it.
+    await seen(page.getByRole("alert"), "large.jpg");
+    assert.deepEqual(refused, [5 << 20, 2.5 * (1 << 20), 1.25 * (1 << 20)]);
+  }));
+
+test("a proxy that refuses the smallest pieces is named", () =>
+  throughProxy("sending-refused", 100_000, async (page, refused) => {
+    await seen(page.getByRole("alert"), "A proxy before the server refuses even pieces of 512 KiB");
+    assert.equal(refused.at(-1), 512 << 10);
+  }));

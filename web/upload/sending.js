@@ -3,10 +3,11 @@
 import { Refusal } from "../lib/dom.js";
 import { begun } from "./begun.js";
 
-const UPLOADS = "/v1/uploads";
+const UPLOADS = "v1/uploads";
 const TYPE = "application/offset+octet-stream";
-/** Bytes per piece, the most that a lost connection costs. */
+/** Bytes per piece, the most that a lost connection costs; a proxy may allow less, down to `LEAST`. */
 const PIECE = 8 << 20;
+const LEAST = 512 << 10;
 /** Files sent in parallel. */
 const AT_ONCE = 3;
 /** Seconds before each retry, growing with the number of failures. */
@@ -24,7 +25,7 @@ export function sending(files, report) {
   const requests = new Set();
   const sleepers = new Set();
   const reasons = new Set();
-  let [stopped, finished] = [false, 0];
+  let [stopped, finished, most] = [false, 0, PIECE];
 
   function reportProgress() {
     if (stopped) return;
@@ -91,6 +92,18 @@ export function sending(files, report) {
   }
   const wakeAll = () => { for (const wake of [...sleepers]) wake(); };
 
+  /**
+   * Whether a proxy refused a piece of `length` bytes, and smaller ones may pass; throws if none may.
+   */
+  function shrinks(fault, length) {
+    if (fault?.status !== 413 || fault.detail !== undefined) return false;
+    if (length <= LEAST) {
+      throw new Error(`A proxy before the server refuses even pieces of ${Math.ceil(length / 1024)} KiB.\nIts administrator can allow larger request bodies.`);
+    }
+    most = Math.min(most, Math.max(LEAST, Math.floor(length / 2)));
+    return true;
+  }
+
   async function sendFile([path, file]) {
     const at = (bytes) => { sent.set(path, bytes); reportProgress(); };
     let id = begun.find(path, file);
@@ -104,13 +117,17 @@ export function sending(files, report) {
       }
       at(offset);
       if (offset >= file.size) break;
+      const length = Math.min(most, file.size - offset);
       try {
-        offset = await piece(id, file, offset, at);
+        offset = await piece(id, file, offset, length, at);
         failures = 0;
       } catch (fault) {
-        if (!passes(fault) && fault.status !== 404) throw fault;
-        await waitOut(fault, failures);
-        failures += 1;
+        const isShorter = shrinks(fault, length);
+        if (!isShorter && !passes(fault) && fault.status !== 404) throw fault;
+        if (!isShorter) {
+          await waitOut(fault, failures);
+          failures += 1;
+        }
         // The server may have received part of the piece.
         offset = await reached(id, file);
       }
@@ -140,8 +157,8 @@ export function sending(files, report) {
   }
 
   /** Sends one piece; returns the file's new offset. */
-  async function piece(id, file, offset, at) {
-    const body = file.slice(offset, offset + PIECE);
+  async function piece(id, file, offset, length, at) {
+    const body = file.slice(offset, offset + length);
     const headers = { "Tus-Resumable": "1.0.0", "Upload-Offset": String(offset), "Content-Type": TYPE };
     const answer = await ask("PATCH", `${UPLOADS}/${id}`, headers, body, (loaded) => at(offset + Math.min(loaded, body.size)));
     return Number(answer.getResponseHeader("Upload-Offset"));
