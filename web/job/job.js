@@ -11,6 +11,7 @@ import { hasTruth, metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
 import { leftOut, strip } from "../lib/photographs.js";
 import { camerasMap } from "./poses.js";
+import { requestOf } from "./request.js";
 import { scenePanel } from "../scene/panel.js";
 import { shares } from "./share.js";
 import { summary } from "./summary.js";
@@ -27,7 +28,7 @@ const QUEUE_MS = 3000;
 
 /** The page of job `id` for the session `who`; a visitor by a link can only look. */
 export function jobPage(main, who, id) {
-  const base = `/v1/jobs/${id}`;
+  const base = `v1/jobs/${id}`;
   const isVisitor = who.job !== null;
   const head = jobHead(base, refresh, who);
   const problem = h("p", { class: "problem", role: "alert" });
@@ -37,6 +38,7 @@ export function jobPage(main, who, id) {
   const metrics = section("Metrics by round");
   const times = folding("Time by stage");
   const facts = folding("Details");
+  const request = folding("Request");
   const files = section("Files");
   const filmed = videos(id, isVisitor);
   const exported = folding("Export");
@@ -54,7 +56,7 @@ export function jobPage(main, who, id) {
     ...(share && { share: share.root }), ...(log && { log: log.root }) });
   main.append(head.root, bar.root, problem, training.root, views.root, warnings, scene.root, scores.root, metrics, files,
     exported, ...(novel ? [novel.root] : []), filmed.root, unused, h("div", { class: "columns" }, times, facts),
-    ...[share, log].filter(Boolean).map((part) => part.root));
+    request, ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
   let onceRounds = () => {};
@@ -101,7 +103,7 @@ export function jobPage(main, who, id) {
   /** Shows the photographs left out of the upload, once, as they do not change. */
   async function showUnused(job) {
     /** @type {import("fled-api").Capture | null} */
-    const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
+    const found = await api(`v1/captures/${job.capture_id}`).catch(() => null);
     if (!found || gone) return;
     given = found.images.length;
     // Before the first round, and if there is none, there is nothing else to show.
@@ -116,6 +118,8 @@ export function jobPage(main, who, id) {
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
     show(facts, factList(report), optionList(job), report.registered !== undefined && camerasMap(base));
     scores.update(report);
+    // A visitor cannot start jobs.
+    if (isOver(job) && !isVisitor) show(request, await requestOf(job, who.needed).catch(() => null));
     const rounds = report.rounds.map((round) => round.round);
     const { artifacts } = await api(`${base}/artifacts`);
     if (gone) return;
