@@ -12,7 +12,7 @@ function say(words) {
 
 async function open() {
   const [id, secret] = location.hash.slice(1).split("/");
-  const base = `/v1/jobs/${encodeURIComponent(id)}`;
+  const base = `v1/jobs/${encodeURIComponent(id)}`;
   const headers = secret ? { Authorization: `Bearer ${secret}` } : {};
   /** @type {[import("fled-api").Job, any]} */
   const [job, { artifacts }] = await Promise.all([api(base, { headers }), api(`${base}/artifacts`, { headers })]);

@@ -151,7 +151,7 @@ async function stay() {
 }
 
 logout.addEventListener("click", async () => {
-  await fetch("/logout", { method: "POST" });
+  await fetch("logout", { method: "POST" });
   enter();
 });
 
@@ -172,7 +172,7 @@ function gone() {
 async function alive() {
   if (document.hidden) return;
   try {
-    await fetch("/livez", { signal: AbortSignal.timeout(ALIVE_MS) });
+    await fetch("livez", { signal: AbortSignal.timeout(ALIVE_MS) });
     if (!isThere) health();
   } catch {
     gone();

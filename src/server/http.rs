@@ -5,6 +5,7 @@
 mod access;
 mod allowance;
 mod artifacts;
+mod below;
 mod captures;
 mod change;
 mod client;
@@ -113,7 +114,7 @@ pub fn router(app: Arc<App>) -> Router {
     };
     uploads()
         .merge(small)
-        .fallback(async || Problem::not_found("page"))
+        .fallback(dashboard::missing)
         .method_not_allowed_fallback(async || {
             Problem::new(
                 StatusCode::METHOD_NOT_ALLOWED,
@@ -129,6 +130,7 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(tus::mark))
+        .layer(middleware::from_fn(below::relate))
         .layer(header(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY))
         .layer(header(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(header(header::REFERRER_POLICY, "no-referrer"))

@@ -73,6 +73,7 @@ export const picture = (page, name) => page.screenshot({ path: join(SCREENSHOTS,
 /** The faults of a page from now on, one per line. */
 function watch(page, base) {
   const faults = [];
+  const own = new URL(base).origin;
   page.on("console", (message) => {
     // Without a GPU, WebGL reads each frame back to show it, with a warning.
     if (message.text().includes("GL Driver Message (OpenGL, Performance")) return;
@@ -83,7 +84,7 @@ function watch(page, base) {
   page.on("pageerror", (error) => faults.push(`script: ${error.message}`));
   page.on("request", (request) => {
     const { protocol, origin } = new URL(request.url());
-    if (protocol !== "data:" && origin !== base) faults.push(`outside: ${request.url()}`);
+    if (protocol !== "data:" && origin !== own) faults.push(`outside: ${request.url()}`);
   });
   page.on("requestfailed", (request) => {
     const reason = request.failure()?.errorText;

@@ -8,6 +8,7 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use ureq::ResponseExt;
 
 pub use postgres::Postgres;
 pub use s3::{Fault, S3};
@@ -27,6 +28,8 @@ pub struct Client {
 /// A server's response.
 #[derive(Debug)]
 pub struct Reply {
+    /// The path of the request.
+    pub path: String,
     /// The status code.
     pub status: u16,
     /// All headers.
@@ -50,6 +53,21 @@ impl Reply {
     /// The value of a header, empty when absent.
     pub fn header(&self, name: &str) -> &str {
         self.headers.get(name).map_or("", |value| value.to_str().expect("ASCII"))
+    }
+
+    /// The path in `Location`, resolved from the request's own, as a client of HTTP does.
+    pub fn location(&self) -> String {
+        let location = self.header("location");
+        assert!(!location.starts_with('/'), "{location} does not hold below the path of a proxy");
+        let mut folders: Vec<_> = self.path.split('/').collect();
+        folders.pop();
+        for part in location.split('/').filter(|part| *part != ".") {
+            match part {
+                ".." => drop(folders.pop()),
+                _ => folders.push(part),
+            }
+        }
+        folders.join("/")
     }
 
     /// Panics with the body unless the status is `status`.
@@ -195,7 +213,9 @@ impl Client {
 fn reply(outcome: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Reply {
     let mut response = outcome.expect("an answer");
     let body = response.body_mut().with_config().limit(1 << 30).read_to_vec().expect("body");
-    Reply { status: response.status().as_u16(), headers: response.headers().clone(), body }
+    let path = response.get_uri().path().to_owned();
+    let status = response.status().as_u16();
+    Reply { path, status, headers: response.headers().clone(), body }
 }
 
 /// Field name, file name, content.

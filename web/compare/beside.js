@@ -126,7 +126,7 @@ export function beside() {
     return {
       key: one.id,
       label,
-      url: `/v1/jobs/${one.id}/artifacts/${address(`${folder}/${view.value}.jpg`)}`,
+      url: `v1/jobs/${one.id}/artifacts/${address(`${folder}/${view.value}.jpg`)}`,
     };
   }
 

@@ -13,8 +13,8 @@ const OFFERED = 50;
 export async function compareWith(job) {
   /** @type {import("fled-api").Jobs[]} */
   const [same, newest] = await Promise.all([
-    api(`/v1/jobs?limit=${OFFERED}&capture_id=${job.capture_id}`),
-    api(`/v1/jobs?limit=${OFFERED}`),
+    api(`v1/jobs?limit=${OFFERED}&capture_id=${job.capture_id}`),
+    api(`v1/jobs?limit=${OFFERED}`),
   ]);
   const own = same.jobs.filter((one) => one.id !== job.id);
   const others = newest.jobs.filter((one) => one.capture_id !== job.capture_id);

@@ -39,7 +39,7 @@ export const entry = (id, number) => ({
 
 /** Asks the server for what may have changed; returns whether anything has. */
 export async function look(one) {
-  const base = `/v1/jobs/${encodeURIComponent(one.id)}`;
+  const base = `v1/jobs/${encodeURIComponent(one.id)}`;
   const before = JSON.stringify([one.job, one.problem]);
   try {
     one.job = await api(base);

@@ -36,7 +36,7 @@ export function novelView(job) {
       });
       if (choice.value) query.set("round", choice.value);
       try {
-        const response = await fetch(`/v1/jobs/${job}/render?${query}`);
+        const response = await fetch(`v1/jobs/${job}/render?${query}`);
         if (!response.ok) throw new Error((await response.json()).detail);
         const url = URL.createObjectURL(await response.blob());
         image.src = url;

@@ -4,7 +4,7 @@ import { api, h } from "../lib/dom.js";
 
 /** The section of a job's page that makes and revokes links. */
 export function shares(job) {
-  const base = `/v1/jobs/${job}/shares`;
+  const base = `v1/jobs/${job}/shares`;
   const problem = h("p", { class: "problem", role: "alert" });
   const made = h("div");
   const list = h("div");
@@ -36,7 +36,7 @@ export function shares(job) {
 
   /** Shows the link, which the server sends only once. */
   function show(share) {
-    const link = location.origin + share.path;
+    const link = new URL(`.${share.path}`, location.href).href;
     const source = link.replace("/#/share/", "/embed#");
     const frame = `<iframe src="${source}" title="3D scene" width="800" height="600" style="border:0" allow="fullscreen"></iframe>`;
     const address = shown("Link", link);

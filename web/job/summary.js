@@ -18,7 +18,7 @@ const NAMED = 5;
  */
 export function summary(job, report, artifacts, given, share, open) {
   const scene = artifacts.find(({ name }) => name === "scene.ply");
-  const link = `/v1/jobs/${job.id}/artifacts/scene.ply`;
+  const link = `v1/jobs/${job.id}/artifacts/scene.ply`;
   const facts = [
     ["Total time", took(job)],
     ["Photographs used", report.registered !== undefined && `${report.registered} of ${given ?? report.views}`],

@@ -14,7 +14,7 @@ const SIDES = [640, 960, 1280, 1920];
 
 /** The section of job `id`; a visitor by a link sees the videos but makes none. */
 export function videos(id, isVisitor) {
-  const base = `/v1/jobs/${id}/videos`;
+  const base = `v1/jobs/${id}/videos`;
   const root = folding("Videos");
   const problem = h("p", { class: "problem", role: "alert" });
   const list = h("ul", { class: "videos bare" });

@@ -38,7 +38,7 @@ export function comparison(job) {
     rebuild();
   }
 
-  const at = (path) => `/v1/jobs/${job}/artifacts/${address(path)}`;
+  const at = (path) => `v1/jobs/${job}/artifacts/${address(path)}`;
 
   function pictures(name) {
     const shot = (key, label, path) => ({ key, label, url: at(path) });
@@ -76,7 +76,7 @@ export function comparison(job) {
 
   async function depth(view, round) {
     const query = new URLSearchParams({ view, round, show: "depth", width: String(DEPTH_WIDTH) });
-    const answer = await fetch(`/v1/jobs/${job}/render?${query}`);
+    const answer = await fetch(`v1/jobs/${job}/render?${query}`);
     if (!answer.ok) throw new Error(`${answer.status}`);
     return URL.createObjectURL(await answer.blob());
   }

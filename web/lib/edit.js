@@ -25,7 +25,7 @@ export function edit(job) {
       const words = tags.value.split(",").map((tag) => tag.trim()).filter(Boolean);
       const body = JSON.stringify({ name: name.value, tags: words });
       const headers = { "Content-Type": "application/json" };
-      await api(`/v1/jobs/${job.id}`, { method: "PATCH", headers, body });
+      await api(`v1/jobs/${job.id}`, { method: "PATCH", headers, body });
       dialog.close("yes");
     } catch (error) {
       problem.textContent = error.message;

@@ -6,7 +6,7 @@ import { api, h } from "./dom.js";
  * Whether a token is needed, and the scopes of this browser's.
  * @returns {Promise<import("fled-api").Session>}
  */
-export const session = () => api("/login");
+export const session = () => api("login");
 
 /**
  * Whether a session may see the data of all users.
@@ -26,7 +26,7 @@ export function loginPage(main, done) {
     problem.textContent = "";
     try {
       const body = JSON.stringify({ token: token.value });
-      await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      await api("login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
       done();
     } catch (error) {
       problem.textContent = error.message;

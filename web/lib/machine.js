@@ -8,7 +8,7 @@ let asked = null;
  * Asks the server which of its requirements are met.
  * @returns {Promise<import("fled-api").Readiness>}
  */
-export const readiness = () => (asked = fetch("/readyz").then((response) => response.json()));
+export const readiness = () => (asked = fetch("readyz").then((response) => response.json()));
 
 /** Whether the server's last answer reported no GPU. */
 export async function lacksGpu() {
@@ -23,4 +23,4 @@ export async function lacksGpu() {
  * Whether there are workers; the session must be allowed to see them.
  * @returns {Promise<boolean>}
  */
-export const areWorkers = async () => (await api("/v1/workers")).workers.length > 0;
+export const areWorkers = async () => (await api("v1/workers")).workers.length > 0;

@@ -27,7 +27,7 @@ const [SHOWN, MOST] = [0.4, 12];
  */
 export function thumbnail(capture, { name, brightness }) {
   if (brightness === undefined) return null;
-  const image = h("img", { alt: "", loading: "lazy", src: `/v1/captures/${capture.id}/thumbnails/${address(name)}` });
+  const image = h("img", { alt: "", loading: "lazy", src: `v1/captures/${capture.id}/thumbnails/${address(name)}` });
   image.style.filter = `brightness(${Math.min(MOST, Math.max(1, SHOWN / Math.max(brightness, 1e-3))).toFixed(2)})`;
   image.addEventListener("error", () => image.remove());
   return image;
@@ -46,7 +46,7 @@ export function strip(capture) {
 function opening(capture, image) {
   const picture = thumbnail(capture, image);
   if (!picture) return "";
-  const href = `/v1/captures/${capture.id}/photographs/${address(image.name)}`;
+  const href = `v1/captures/${capture.id}/photographs/${address(image.name)}`;
   return h("a", { href, target: "_blank", "aria-label": `Open ${image.name}` }, picture);
 }
 

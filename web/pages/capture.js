@@ -11,7 +11,7 @@ const REFRESH_MS = 3000;
 
 /** `from`: a job whose options fill the form. */
 export function capturePage(main, id, from) {
-  const base = `/v1/captures/${id}`;
+  const base = `v1/captures/${id}`;
   const head = h("section", { hidden: true });
   const problem = h("p", { class: "problem", role: "alert" });
   const jobs = jobTable(() => refresh());
@@ -54,7 +54,7 @@ export function capturePage(main, id, from) {
     clearTimeout(timer);
     try {
       /** @type {import("fled-api").Jobs} */
-      const page = await api(`/v1/jobs?limit=200&capture_id=${id}`);
+      const page = await api(`v1/jobs?limit=200&capture_id=${id}`);
       if (gone) return;
       of = page.jobs;
       jobs.update(of);
@@ -69,7 +69,7 @@ export function capturePage(main, id, from) {
   async function showPositions(job) {
     if (!job || job.id === placedBy) return;
     placedBy = job.id;
-    const report = await api(`/v1/jobs/${job.id}/rounds`).catch(() => null);
+    const report = await api(`v1/jobs/${job.id}/rounds`).catch(() => null);
     if (report && !gone) show(pictures, photographs(shown, positions(report)));
   }
 
@@ -112,7 +112,7 @@ function againForm(capture) {
       const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
       if (name.value) body.name = name.value;
       /** @type {import("fled-api").Job} */
-      const job = await send("/v1/jobs", body);
+      const job = await send("v1/jobs", body);
       location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (!options.fault(error)) problem.textContent = error.message;
@@ -130,7 +130,7 @@ function againForm(capture) {
     async begin(id) {
       try {
         /** @type {import("fled-api").Job} */
-        const job = await api(`/v1/jobs/${id}`);
+        const job = await api(`v1/jobs/${id}`);
         name.value = job.name;
         await options.fill(job.preset, job.options);
         root.scrollIntoView();

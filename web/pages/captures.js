@@ -29,9 +29,9 @@ export function capturesPage(main) {
     clearTimeout(timer);
     try {
       /** @type {import("fled-api").Captures} */
-      const page = await api(`/v1/captures?limit=${limit}`);
+      const page = await api(`v1/captures?limit=${limit}`);
       /** @type {import("fled-api").Jobs} */
-      const { jobs } = await api(`/v1/jobs?limit=${MOST}`);
+      const { jobs } = await api(`v1/jobs?limit=${MOST}`);
       if (gone) return;
       refill(list.tBodies[0], page.captures.map((capture) =>
         row(COLUMNS, cells(capture, jobs.filter((job) => job.capture_id === capture.id)))));

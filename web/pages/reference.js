@@ -8,10 +8,10 @@ export function referencePage(main) {
   const content = h("div", {}, h("p", { class: "hint" }, "Loading…"));
   main.append(h("section", {}, h("h1", {}, "API"),
     h("p", { class: "hint" }, "All endpoints of this server. Machine-readable: ",
-      h("a", { href: "/openapi.json" }, "openapi.json"), ", ", h("a", { href: "/openapi.yaml" }, "openapi.yaml"), "."),
+      h("a", { href: "openapi.json" }, "openapi.json"), ", ", h("a", { href: "openapi.yaml" }, "openapi.yaml"), "."),
     content));
   let gone = false;
-  api("/openapi.json").then((document) => {
+  api("openapi.json").then((document) => {
     if (!gone) content.replaceChildren(...groups(document));
   }, (error) => {
     content.replaceChildren(h("p", { class: "problem", role: "alert" }, error.message));

@@ -80,7 +80,7 @@ export function selection(refresh) {
     const faults = [];
     for (const job of rest) {
       try {
-        await api(`/v1/jobs/${job.id}`, { method: "DELETE" });
+        await api(`v1/jobs/${job.id}`, { method: "DELETE" });
         chosen.delete(job.id);
       } catch (error) {
         // Already deleted elsewhere, as requested.

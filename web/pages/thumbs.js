@@ -64,7 +64,7 @@ function restored(job) {
 
 /** Prefers a held-out view, whose render shows how the scene generalises. */
 async function fill(pair, id, round) {
-  const base = `/v1/jobs/${id}/artifacts`;
+  const base = `v1/jobs/${id}/artifacts`;
   const cameras = await api(`${base}/cameras.json`).catch(() => []);
   const view = cameras.find((one) => one.split === "held_out") ?? cameras[0];
   if (!view) return;

@@ -31,7 +31,7 @@ export function openLink(main, [job, secret], enter) {
         return;
       }
       const body = JSON.stringify({ token: secret });
-      await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      await api("login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
     }
     // Removes the secret from the address, and so from the history and from copied addresses.
     history.replaceState(null, "", `#/jobs/${job}`);
@@ -39,7 +39,7 @@ export function openLink(main, [job, secret], enter) {
   }
   /** Whether this browser's session may see the job. */
   async function seen() {
-    const { ok, status } = await fetch(`/v1/jobs/${job}`);
+    const { ok, status } = await fetch(`v1/jobs/${job}`);
     if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server responded with status ${status}.`);
     return ok;
   }

@@ -33,7 +33,7 @@ const NONE =
   "a worker:";
 
 /** @returns {Promise<import("fled-api").Workers>} */
-const ask = () => api("/v1/workers");
+const ask = () => api("v1/workers");
 
 /** The page, refreshed every few seconds while visible. */
 export function workersPage(main, who) {
@@ -106,7 +106,7 @@ export function workersPage(main, who) {
 }
 
 /** @returns {Promise<import("fled-api").Jobs>} */
-const jobsOf = (state) => api(`/v1/jobs?state=${state}&limit=${MOST}`);
+const jobsOf = (state) => api(`v1/jobs?state=${state}&limit=${MOST}`);
 
 /** Sets text only if it changed, so that screen readers do not repeat it. */
 function say(node, words) {

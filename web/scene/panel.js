@@ -80,7 +80,7 @@ export function scenePanel(job, headers = {}) {
       if (!isOpening) invite();
       bytes.textContent = size(first.bytes);
       const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;
-      const url = `/v1/jobs/${job}/artifacts/${address(path)}`;
+      const url = `v1/jobs/${job}/artifacts/${address(path)}`;
       const isThere = artifacts.some((file) => file.name === path);
       if (isThere && image.dataset.of !== url) paint(url);
       image.hidden = !isThere;
@@ -99,7 +99,7 @@ function scenesOf(job, artifacts, best) {
   const scenes = new Map();
   for (const { name, bytes } of artifacts) {
     if (name === "poses.json") {
-      scenes.set(0, { round: 0, bytes, isPoints: true, url: `/v1/jobs/${job}/artifacts/${name}` });
+      scenes.set(0, { round: 0, bytes, isPoints: true, url: `v1/jobs/${job}/artifacts/${name}` });
       continue;
     }
     const isDelivered = name === "scene.ply";
@@ -107,7 +107,7 @@ function scenesOf(job, artifacts, best) {
     const round = isDelivered ? best : found && Number(found[1]);
     // The delivered scene is a copy of one round's.
     if (!round || scenes.get(round)?.isDelivered) continue;
-    scenes.set(round, { round, bytes, isDelivered, url: `/v1/jobs/${job}/artifacts/${name}` });
+    scenes.set(round, { round, bytes, isDelivered, url: `v1/jobs/${job}/artifacts/${name}` });
   }
   return [...scenes.values()].sort((a, b) => a.round - b.round);
 }

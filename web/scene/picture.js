@@ -23,7 +23,7 @@ export function request(scene, matrix, k, ev = 0) {
 
 /** Fetches the picture and has the browser save it as `name`. */
 export async function savedPicture(job, name, scene, matrix, k, ev) {
-  const response = await fetch(`/v1/jobs/${job}/render`, {
+  const response = await fetch(`v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify(request(scene, matrix, k, ev)),
   });

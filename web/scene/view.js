@@ -46,7 +46,7 @@ const LOST = "The graphics adapter dropped the picture, as can happen when it is
  * reason if it closes by itself. Throws a `SceneError` if the browser cannot draw it.
  */
 export async function openScene(place, { job, headers, name, scenes, first, start, ended }) {
-  const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`, { headers });
+  const cameras = await api(`v1/jobs/${job}/artifacts/cameras.json`, { headers });
   const view = new View({ job, headers, name }, cameras, scenes, ended);
   place.replaceChildren(view.stage);
   // The canvas, its tools and its hint fit the window; they shall all be in it.

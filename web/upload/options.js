@@ -20,7 +20,7 @@ const AGAIN_MS = 3000;
 let schema = null;
 
 /** The schema does not change while a server runs. */
-const load = () => (schema ??= api("/v1/options").catch((error) => { schema = null; throw error; }));
+const load = () => (schema ??= api("v1/options").catch((error) => { schema = null; throw error; }));
 
 let forms = 0;
 

@@ -83,10 +83,10 @@ export function startForm() {
     status.textContent = "Making up photographs of a dark room…";
     try {
       /** @type {import("fled-api").Capture} */
-      const capture = await api("/v1/captures/sample", { method: "POST" });
+      const capture = await api("v1/captures/sample", { method: "POST" });
       const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
       /** @type {import("fled-api").Job} */
-      const job = await send("/v1/jobs", body);
+      const job = await send("v1/jobs", body);
       if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (!gone && !options.fault(error)) problem.textContent = error.message;
@@ -197,7 +197,7 @@ function upload(files, fields, show) {
     const uploads = await run.done;
     show("Checking the photographs…", false);
     try {
-      const made = await again(() => api("/v1/jobs", {
+      const made = await again(() => api("v1/jobs", {
         method: "POST",
         headers: { "Content-Type": "application/json", "Idempotency-Key": key },
         body: JSON.stringify({ uploads, ...fields }),

@@ -10,11 +10,12 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::LazyLock;
 
 use axum::extract::Path;
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
 use super::CONTENT_SECURITY_POLICY;
+use super::below::top;
 use super::problem::Problem;
 use super::sent::is_known;
 
@@ -63,7 +64,7 @@ static BUILD: LazyLock<String> = LazyLock::new(|| {
 /// A page with the addresses of this build, links to all modules that its `script` imports, and
 /// inactive links to those that it may import later, which name the module they are for.
 fn page(html: &str, script: &str) -> String {
-    let base = format!("/assets/{}/", *BUILD);
+    let base = format!("assets/{}/", *BUILD);
     let modules = imported(script);
     let first = modules.iter().map(|name| format!("rel=\"modulepreload\" href=\"{base}{name}\""));
     let mut later: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -76,7 +77,7 @@ fn page(html: &str, script: &str) -> String {
         .iter()
         .map(|(name, of)| format!("data-of=\"{}\" href=\"{base}{name}\"", of.join(" ")));
     let links: String = first.chain(later).map(|link| format!("<link {link}>\n")).collect();
-    html.replace("/assets/", &base).replace("</head>", &format!("{links}</head>"))
+    html.replace("assets/", &base).replace("</head>", &format!("{links}</head>"))
 }
 
 /// The modules that `script` imports on demand.
@@ -130,6 +131,23 @@ pub async fn embedded(headers: HeaderMap) -> Response {
     ([(header::CONTENT_SECURITY_POLICY, policy)], file("embed.html", &headers)).into_response()
 }
 
+/// Where there is nothing: a page for people's browsers, a problem document for programs.
+pub async fn missing(uri: Uri, headers: HeaderMap) -> Response {
+    let accepted = headers.get(header::ACCEPT).and_then(|kinds| kinds.to_str().ok());
+    let is_shown = accepted.is_some_and(|kinds| kinds.contains("text/html"));
+    let Some(page) = ASSETS.get("missing.html").filter(|_| is_shown) else {
+        return Problem::not_found("page")
+            .hint("/openapi.yaml lists every address. A proxy that serves this server below a path must remove that path.")
+            .into_response();
+    };
+    let top = top(uri.path());
+    let page = String::from_utf8_lossy(&page.content);
+    let page = page.replace("\"assets/", &format!("\"{top}assets/"));
+    let page = page.replace("href=\"./\"", &format!("href=\"{top}\""));
+    let kind = [(header::CONTENT_TYPE, media_type("missing.html"))];
+    (StatusCode::NOT_FOUND, kind, page).into_response()
+}
+
 /// Styles and scripts, by name or below the address of a build. A page of another build, still open
 /// or sent by another replica, gets the files of this one, but only files of this build are cached
 /// permanently.
@@ -174,8 +192,8 @@ mod tests {
     #[test]
     fn the_page_names_all_its_modules_by_this_build() {
         let page = String::from_utf8_lossy(&ASSETS["index.html"].content);
-        let base = format!("/assets/{}/", *BUILD);
-        assert_eq!(page.matches("/assets/").count(), page.matches(&base).count());
+        let base = format!("assets/{}/", *BUILD);
+        assert_eq!(page.matches("assets/").count(), page.matches(&base).count());
         let modules = imported("main.js");
         assert!(modules.contains("lib/dom.js"), "imported by main.js and by others");
         for name in &modules {
@@ -189,6 +207,39 @@ mod tests {
         assert!(named("job/job.js", "job/views.js"), "{page}");
         assert!(named("compare/compare.js job/job.js", "lib/split.js"), "{page}");
         assert!(!page.contains("scene/view.js"), "loaded once a scene is opened");
+    }
+
+    #[test]
+    fn every_address_holds_below_the_path_of_a_proxy() {
+        const PLACES: [&str; 7] =
+            ["v1/", "assets/", "login", "logout", "livez", "readyz", "openapi."];
+        for name in Web::iter().filter(|name| name.ends_with(".js") || name.ends_with(".html")) {
+            let text = Web::get(&name).expect("a file").data;
+            let text = String::from_utf8_lossy(&text);
+            for place in PLACES {
+                for quote in ['"', '\'', '`'] {
+                    let absolute = format!("{quote}/{place}");
+                    let is_comment = |line: &str| line.trim_start().starts_with(['/', '*']);
+                    let found =
+                        text.lines().find(|line| line.contains(&absolute) && !is_comment(line));
+                    assert_eq!(found, None, "{name}: leave out the first slash");
+                }
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn a_missing_page_is_for_people_only() {
+        let page = async |path: &'static str, accept: &'static str| {
+            let headers = HeaderMap::from_iter([(header::ACCEPT, accept.parse().expect("header"))]);
+            missing(Uri::from_static(path), headers).await
+        };
+        let is_html = |answer: &Response| {
+            assert_eq!(answer.status(), StatusCode::NOT_FOUND);
+            answer.headers()[header::CONTENT_TYPE] == "text/html; charset=utf-8"
+        };
+        assert!(is_html(&page("/a/b", "text/html,application/xhtml+xml,*/*;q=0.8").await));
+        assert!(!is_html(&page("/a/b", "*/*").await));
     }
 
     #[tokio::test]

@@ -92,8 +92,9 @@ fn answer(headers: &HeaderMap, session: &str, seconds: i64) -> Response {
         headers.get("x-forwarded-proto").is_some_and(|scheme| scheme.as_bytes() == b"https");
     let secure = if is_tls { "; Secure" } else { "" };
     let name = super::access::COOKIE;
-    let cookie =
-        format!("{name}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}");
+    // Without a path it is sent to what lies beside `/login`, below a proxy's path, too, and to no
+    // other service of that proxy.
+    let cookie = format!("{name}={session}; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}");
     match HeaderValue::try_from(cookie) {
         Ok(cookie) => (StatusCode::NO_CONTENT, [(header::SET_COOKIE, cookie)]).into_response(),
         Err(_) => Problem::internal().into_response(),

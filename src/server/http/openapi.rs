@@ -197,7 +197,7 @@ pub async fn show_json() -> impl IntoResponse {
 
 /// Redirects to the API reference in the dashboard.
 pub async fn docs() -> Redirect {
-    Redirect::to("/#/api")
+    Redirect::to("./#/api")
 }
 
 #[cfg(test)]

@@ -161,7 +161,7 @@ fn a_sample_is_a_capture_like_any_other() {
     let reply = server.post("/v1/captures/sample", &[], &[]).expect(201);
     let capture = reply.json();
     let id = capture["id"].as_str().expect("id");
-    assert_eq!(reply.header("location"), format!("/v1/captures/{id}"));
+    assert_eq!(reply.location(), format!("/v1/captures/{id}"));
     assert_eq!((&capture["accepted"], &capture["warnings"]), (&20.into(), &serde_json::json!([])));
     let body = serde_json::json!({ "capture_id": id, "options": { "adapter": "ok" } });
     let job = server.post_json("/v1/jobs", &body, &[]).expect(202).json();

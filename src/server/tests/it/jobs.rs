@@ -16,7 +16,7 @@ fn a_job_goes_from_upload_to_results() {
     ]);
     let reply = server.upload("/v1/jobs", &parts, &[]).expect(202);
     let job = reply.json()["id"].as_str().expect("id").to_owned();
-    assert_eq!(reply.header("location"), format!("/v1/jobs/{job}"));
+    assert_eq!(reply.location(), format!("/v1/jobs/{job}"));
     let done = server.wait_state(&job, "succeeded");
     assert_eq!(
         (&done["progress"], &done["rounds"], &done["best_round"]),

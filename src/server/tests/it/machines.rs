@@ -56,7 +56,7 @@ fn a_replica_without_files_of_a_job_makes_views_and_videos() {
     let film = json!({ "kind": "orbit", "fps": 5, "seconds": 8.0, "width": 128 });
     let videos = format!("/v1/jobs/{job}/videos");
     let begun = api.post_json(&videos, &film, &[]).expect(202);
-    let begun = begun.header("location").to_owned();
+    let begun = begun.location();
     let since = Instant::now();
     while api.get(&begun, &[]).expect(200).json()["progress"].as_f64() < Some(0.1) {
         assert!(since.elapsed() < PATIENCE, "{begun} is not begun");
@@ -73,7 +73,7 @@ fn a_replica_without_files_of_a_job_makes_views_and_videos() {
     std::fs::remove_dir_all(one.folder.join("data/jobs").join(&job).join("output")).expect("there");
     let (_one, api) = farm.replica("one");
     let asked = two.post_json(&videos, &film, &[]).expect(202);
-    let asked = asked.header("location").to_owned();
+    let asked = asked.location();
     let view = format!("/v1/jobs/{job}/render?azimuth=30&format=png");
     assert!(api.get(&view, &[]).expect(200).body == two.get(&view, &[]).expect(200).body);
     for (replica, video) in [(&api, &begun), (&two, &asked)] {
@@ -169,7 +169,7 @@ fn a_resumable_upload_survives_the_start_of_other_processes() {
         ("upload-metadata", "filename d2Fsay5wbmc="),
     ];
     let begun = one.ask("POST", "/v1/uploads", &headers, b"").expect(201);
-    let upload = begun.header("location").to_owned();
+    let upload = begun.location();
     let _worker = farm.worker("worker");
     let _two = farm.replica("two");
     one.ask("HEAD", &upload, &headers[..1], b"").expect(200);

@@ -49,7 +49,7 @@ fn wait_state(server: &Server, path: &str, state: &str) -> Value {
 fn a_video_is_made_and_sent_whole_and_in_ranges() {
     let (server, _, videos) = server_with_job();
     let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
-    let path = reply.header("location").to_owned();
+    let path = reply.location();
     let made = id(reply);
     assert_eq!(path, format!("{videos}/{made}"));
     let shown = wait_state(&server, &path, "succeeded");

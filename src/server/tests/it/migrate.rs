@@ -38,7 +38,7 @@ impl Old {
         let video = json!({ "kind": "orbit", "fps": 5, "seconds": 1.0, "width": 128 });
         let videos = format!("/v1/jobs/{done}/videos");
         let video = server.post_json(&videos, &video, &[]).expect(202);
-        let video = video.header("location").to_owned();
+        let video = video.location();
         while server.get(&video, &[]).json()["state"] != "succeeded" {
             std::thread::sleep(Duration::from_millis(50));
         }

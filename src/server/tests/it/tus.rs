@@ -76,7 +76,7 @@ fn an_upload_arrives_in_pieces_and_reports_its_offset() {
     let headers = [("upload-length", "11"), ("upload-metadata", &*metadata)];
     let begun = tus.ask("POST", "/v1/uploads", &headers, b"").expect(201);
     assert!(begun.header("upload-expires").ends_with(" GMT"));
-    let path = begun.header("location").to_owned();
+    let path = begun.location();
     let answer = tus.head(&path).expect(200);
     for (name, value) in [
         ("upload-offset", "0"),
@@ -193,8 +193,8 @@ fn the_creation_request_may_contain_the_first_piece() {
     };
     let begun = begin(&[PIECE], b"abc").expect(201);
     assert_eq!(begun.header("upload-offset"), "3");
-    let path = begun.header("location");
-    tus.patch(path, 3, b"de").expect(204);
+    let path = begun.location();
+    tus.patch(&path, 3, b"de").expect(204);
     begin(&[], b"abc").expect(415);
     begin(&[("content-type", "text/plain")], b"abc").expect(415);
     begin(&[PIECE], b"abcdef").expect(413);

@@ -55,10 +55,7 @@ fn resumable_uploads_of_photographs_become_a_capture() {
     let made = server.post_json("/v1/captures", &order, &[]).expect(201);
     let capture = made.json();
     assert_eq!((&capture["name"], &capture["accepted"]), (&"in pieces".into(), &5.into()));
-    assert_eq!(
-        made.header("location"),
-        format!("/v1/captures/{}", capture["id"].as_str().expect("id"))
-    );
+    assert_eq!(made.location(), format!("/v1/captures/{}", capture["id"].as_str().expect("id")));
     let kept = data.join("captures").join(capture["id"].as_str().expect("id"));
     assert_eq!(names(&kept), [".names.json", ".thumbnails", "gt", "images"]);
     assert_eq!(

@@ -49,7 +49,7 @@ impl<'a> Tus<'a> {
     /// Creates an upload, and returns its path.
     pub fn create(&self, name: &str, length: usize) -> String {
         let reply = self.begin(name, length).expect(201);
-        reply.header("location").to_owned()
+        reply.location()
     }
 
     pub fn patch(&self, path: &str, offset: usize, body: &[u8]) -> Reply {
