@@ -43,7 +43,7 @@ test: test-openapi test-types setup onnxruntime matcher test-python ## every tes
 # What waits long or needs a machine for itself: random kills, outages, throughput, memory, a film of
 # the page, and a second real capture for COLMAP.
 test-nightly: setup onnxruntime matcher ## the tests that CI leaves out
-	@tools/setup.sh postgresql faketime $(if $(CHROMIUM),,chromium)
+	@tools/setup.sh postgresql faketime nginx caddy $(if $(CHROMIUM),,chromium)
 	$(CARGO) test --release --locked --workspace --no-run
 	@$(MAKE) --no-print-directory test-widths
 	$(CARGO) test --release --locked --workspace --test it -- --ignored --test-threads 1

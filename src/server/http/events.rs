@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::{HeaderMap, HeaderName, StatusCode};
 use axum::response::sse::{Event, KeepAlive};
 use axum::response::{IntoResponse, Response, Sse};
 use futures::Stream;
@@ -26,6 +26,9 @@ use crate::store::{EventFeed, EventRow};
 
 /// How long a stream may outlast the validity of its token.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);
+
+/// nginx passes each event on at once if this is `no`; otherwise it collects them.
+const BUFFERING: HeaderName = HeaderName::from_static("x-accel-buffering");
 
 /// From where to stream.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -92,7 +95,8 @@ pub async fn stream(
         checked: Instant::now(),
     };
     let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
-    Ok(Sse::new(cursor.into_stream()).keep_alive(keep_alive).into_response())
+    let stream = Sse::new(cursor.into_stream()).keep_alive(keep_alive);
+    Ok(([(BUFFERING, "no")], stream).into_response())
 }
 
 /// Checks that `last` is the number of an event of the job; 0 is before the first.

@@ -20,6 +20,7 @@ mod memory;
 mod migrate;
 mod orders;
 mod orphans;
+mod proxies;
 mod results;
 mod shares;
 mod support;
