@@ -10,6 +10,7 @@ mod failpoint;
 mod files;
 mod http;
 mod janitor;
+mod memory;
 mod process;
 mod rate;
 mod redaction;

@@ -17,10 +17,12 @@ use crate::files::blob_cache::BlobCache;
 use crate::files::data::DataDir;
 use crate::http::{router, serve_connections};
 use crate::janitor;
+use crate::memory;
 use crate::sharing::fetch_job;
 use crate::store::{Engine, JobKind, Store};
 use crate::transfer::adopt_videos;
 use crate::webhooks::keep_telling;
+use crate::worker::log::LogWriter;
 use crate::worker::{self, after_death, kill_orphans};
 
 /// How long open requests may take to finish once the server stops.
@@ -137,7 +139,8 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     }
     let worker = data.worker()?;
     let limits = config.limits;
-    let settle = |deaths| after_death(&limits, deaths);
+    let ran_out = memory::ran_out_since(&data.oom_kills());
+    let settle = |deaths| after_death(&limits, deaths, ran_out);
     let left = match store.engine() {
         // No other process uses the database.
         Engine::Sqlite => store.release_all(settle).await?,
@@ -146,8 +149,19 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     if !left.is_empty() {
         let orphans = kill_orphans(&left);
         tracing::info!(jobs = left.len(), orphans, "continuing jobs of an earlier server");
+        for job in &left {
+            log_restart(&data.log(job), config);
+        }
     }
     Ok(Opened { data, store, blob_cache: BlobCache::new(blobs), worker })
+}
+
+/// Says in a job's log why its last attempt has no end. A log that cannot be written stops no job.
+fn log_restart(log: &Path, config: &ServeConfig) {
+    match LogWriter::open(log, config.limits.max_log_bytes) {
+        Ok(mut log) => log.line("continued after a restart of the server"),
+        Err(error) => tracing::warn!(%error, "cannot write a job's log"),
+    }
 }
 
 impl Opened {

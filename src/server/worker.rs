@@ -145,7 +145,8 @@ async fn release_expired(app: &App) -> Result<Vec<String>> {
     match app.store.engine() {
         Engine::Sqlite => Ok(Vec::new()),
         Engine::Postgres => {
-            let settle = |deaths| after_death(&app.limits, deaths);
+            // Of another machine's memory nothing is known.
+            let settle = |deaths| after_death(&app.limits, deaths, false);
             app.store.release_expired(settle).await
         }
     }
@@ -244,22 +245,61 @@ fn advice(error: &ServerError) -> &'static str {
 
 /// Decides how to settle a job whose server has died this many times in a row without progress.
 /// Running out of memory kills the server along with the job, so such a job must not restart
-/// forever.
-pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
+/// forever; `ran_out` says that the kernel has reported it.
+pub fn after_death(limits: &Limits, deaths: u32, ran_out: bool) -> Settlement {
     let again = deaths < limits.deaths_without_progress;
     // At once after the first death, as after a manual restart.
     let wait = match deaths {
         0 | 1 => 0,
         _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
     };
+    let kind = if ran_out { ErrorKind::OomHost } else { ErrorKind::Internal };
+    let detail = match (again, ran_out) {
+        (true, false) => "continued after a restart of the server".to_owned(),
+        (true, true) => "continued after a restart of the server: memory ran out".to_owned(),
+        (false, _) => {
+            format!("the server died {deaths} times without progress while this job ran")
+        }
+    };
+    let hint = match (again, ran_out) {
+        (_, true) => {
+            "The kernel ended a process because memory ran out. Try a smaller `size` or `cap`, or \
+             another machine."
+        }
+        (true, false) => "",
+        (false, false) => {
+            "The log of the server, or of what supervises it, may say why. Then retry the job."
+        }
+    };
     Settlement::Failed {
-        error: JobError {
-            code: ErrorKind::Internal.name().to_owned(),
-            detail: format!("the server died {deaths} times without progress while this job ran"),
-            hint: "Memory may have run out. Try a smaller `size` or `cap`, or another machine."
-                .to_owned(),
-        },
+        error: JobError { code: kind.name().to_owned(), detail, hint: hint.to_owned() },
         retry_in_ms: again.then_some(wait),
         failures: deaths,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_the_kernel_reported_is_called_a_lack_of_memory() {
+        let of = |deaths, ran_out| match after_death(&Limits::default(), deaths, ran_out) {
+            Settlement::Failed { error, retry_in_ms, .. } => (error, retry_in_ms),
+            other => panic!("{other:?}"),
+        };
+        let (error, wait) = of(1, false);
+        assert_eq!(
+            (error.detail.as_str(), wait),
+            ("continued after a restart of the server", Some(0))
+        );
+        for deaths in [1, 5] {
+            let (error, _) = of(deaths, false);
+            assert!(!format!("{error:?}").to_lowercase().contains("memory"), "{error:?}");
+            let (error, _) = of(deaths, true);
+            assert_eq!(error.code, "oom_host");
+            assert!(error.hint.contains("smaller `size`"), "{error:?}");
+        }
+        assert_eq!(of(5, true).1, None);
     }
 }

@@ -53,8 +53,19 @@ export function progressLine(job, matched = null) {
     runs && job.eta_seconds ? `${duration(job.eta_seconds)} left` : "",
     runs && job.stage === "poses" && matched ? `${matched.done} of ${matched.total} photographs and pairs matched` : "",
     runs ? elapsed(job) : "",
-    job.attempts > 1 ? `attempt ${job.attempts}` : "",
+    attempt(job),
   ].filter(Boolean).join(" · ");
+}
+
+/**
+ * A further attempt: the bar is its own, and the time since the first one is the job's.
+ * @param {Job} job
+ */
+function attempt({ attempts, state, started_at: first }) {
+  if (attempts < 2) return "";
+  if (state !== "running" || !first) return `attempt ${attempts}`;
+  const since = stopwatch((serverNow() - Date.parse(first)) / 1000);
+  return `attempt ${attempts}, whose progress the bar shows; ${since} since the first began`;
 }
 
 /**

@@ -119,6 +119,11 @@ impl DataDir {
         Ok(name)
     }
 
+    /// The count of processes ended for lack of memory, see [`crate::memory::note`].
+    pub fn oom_kills(&self) -> PathBuf {
+        self.root.join("oom_kills")
+    }
+
     /// The database file.
     pub fn database(&self) -> PathBuf {
         self.root.join("fled.db")

@@ -55,7 +55,7 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
         )));
     }
     claim(&target, &blobs).await?;
-    let settle = |deaths| after_death(&Limits::default(), deaths);
+    let settle = |deaths| after_death(&Limits::default(), deaths, false);
     kill_orphans(&source.release_all(settle).await?);
     adopt_videos(&source, &data).await?;
     let mut done = Migrated { uploads: source.ids("uploads").await?.len(), ..Migrated::default() };

@@ -1,6 +1,7 @@
 //! One attempt at a job: its process from start to settlement.
 
 use std::ffi::OsString;
+use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,6 +21,7 @@ use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
 use crate::files::data::{sync_directories, write_atomically};
 use crate::files::remove;
+use crate::memory;
 use crate::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::redaction::without_paths;
 use crate::sharing;
@@ -55,6 +57,8 @@ pub(super) struct Attempt<'a> {
     lease: Lease,
     is_video: bool,
     log: LogWriter,
+    /// How often the kernel had ended a process for lack of memory when the attempt began.
+    kills: Option<u64>,
     pending: Option<Progress>,
     last_words: Option<LastWords>,
 }
@@ -79,9 +83,14 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         lease: lease.clone(),
         is_video: job.video_of.is_some(),
         log,
+        kills: memory::kills(),
         pending: None,
         last_words: None,
     };
+    // If this process is killed, the next one compares.
+    if let Err(error) = memory::note(&app.data.oom_kills()) {
+        tracing::warn!(%error, "a later lack of memory will not be recognised");
+    }
     let begins = format!("attempt {} begins", job.attempts);
     attempt.log.line(&begins);
     let mut group = match Group::spawn(command, &arguments, &[(JOB_VARIABLE, id)]) {
@@ -424,8 +433,14 @@ impl Attempt<'_> {
             }
             _ => {
                 let detail = format!("{} ended without a result ({status})", self.process());
-                let hint = self
-                    .hint("The log shows what it did last. Signal 9 may mean that memory ran out.");
+                let kills = self.kills.zip(memory::kills());
+                let is_risen = kills.is_some_and(|(before, now)| now > before);
+                let ran_out = is_risen && status.signal() == Some(9);
+                let hint = self.hint(if ran_out {
+                    "Memory ran out. Try a smaller `size` or `cap`, or another machine."
+                } else {
+                    "The log shows what it did last."
+                });
                 self.failure(ErrorKind::Internal, detail, hint.to_owned()).await
             }
         }

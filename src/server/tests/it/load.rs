@@ -151,3 +151,18 @@ fn a_job_that_brings_down_its_server_finally_fails() {
     server.post(&format!("/v1/jobs/{job}/retry"), b"", &[]).expect(202);
     server.wait(&job, "running", |shown| shown["state"] == "running");
 }
+
+#[test]
+fn a_restart_is_named_and_memory_is_not_blamed_for_it() {
+    let mut server = Server::start();
+    let job = server.job("slow:30");
+    server.wait(&job, "running", |shown| shown["state"] == "running");
+    server.restart();
+    server.wait_state(&job, "succeeded");
+    let log = server.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200).text();
+    assert!(log.contains("continued after a restart of the server"), "{log}");
+    let events = server.events(&job, 0, usize::MAX);
+    let error = events.iter().find_map(|(_, _, data)| data.get("error")).expect("the restart");
+    assert_eq!(error["detail"], "continued after a restart of the server");
+    assert!(!error.to_string().to_lowercase().contains("memory"), "{error}");
+}
