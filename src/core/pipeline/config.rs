@@ -431,7 +431,8 @@ impl Options {
                 return Err(fault(key, &format!("unknown; known options are {known}")));
             }
             fields.insert(key.clone(), value.clone());
-            current = read(object).map_err(|error| fault(key, &error.words))?;
+            current =
+                read(object).map_err(|error| fault(key, &wanted(key).unwrap_or(error.words)))?;
         }
         current.check()?;
         Ok(current)
@@ -472,25 +473,47 @@ impl Options {
     }
 
     fn check(&self) -> Result<(), OptionsError> {
-        within("rounds", self.round_count(), 1, 8)?;
-        within("steps", self.steps_per_round(), 1, 200_000)?;
-        within("size", self.longest_side(), 64, 4096)?;
+        within("rounds", self.round_count())?;
+        within("steps", self.steps_per_round())?;
+        within("size", self.longest_side())?;
         self.networks().iter().try_for_each(NetworkOption::check)?;
         if self.enhance != NetworkChoice::Curve && self.target != "auto" {
             let message =
                 "a network that brightens decides the brightness; leave `target` at `auto`";
             return Err(fault("target", &message));
         }
-        within("cap", self.most_gaussians(), 100, 5_000_000)?;
-        within("sh_degree", self.sh_degree, 0, 3)
+        within("cap", self.most_gaussians())?;
+        within("sh_degree", self.sh_degree)
     }
 }
 
-fn within(key: &str, value: u32, low: u32, high: u32) -> Result<(), OptionsError> {
-    if (low..=high).contains(&value) {
-        return Ok(());
+/// The options that are numbers, with their least and greatest values.
+const RANGES: [(&str, u32, u32); 5] = [
+    ("rounds", 1, 8),
+    ("steps", 1, 200_000),
+    ("size", 64, 4096),
+    ("cap", 100, 5_000_000),
+    ("sh_degree", 0, 3),
+];
+
+fn range(key: &str) -> Option<(u32, u32)> {
+    RANGES.iter().find(|(name, ..)| *name == key).map(|&(_, low, high)| (low, high))
+}
+
+fn within(key: &str, value: u32) -> Result<(), OptionsError> {
+    match range(key) {
+        Some((low, high)) if !(low..=high).contains(&value) => {
+            Err(fault(key, &format!("{value} is outside {low}..={high}")))
+        }
+        _ => Ok(()),
     }
-    Err(fault(key, &format!("{value} is outside {low}..={high}")))
+}
+
+/// What a number must be, in the option's own range; `None` for other options.
+fn wanted(key: &str) -> Option<String> {
+    let (low, high) = range(key)?;
+    let or_auto = if key == "sh_degree" { "" } else { ", or `auto`" };
+    Some(format!("must be a whole number from {low} to {high}{or_auto}"))
 }
 
 fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {

@@ -36,9 +36,9 @@ pub enum ViewpointError {
     /// The run's cameras do not determine where the scene is.
     #[error("the cameras of this run span no orbit")]
     NoOrbit,
-    /// A number of the orbit is not finite.
-    #[error("`{0}` is no finite number")]
-    NotFinite(&'static str),
+    /// An angle of the orbit is more than a full turn: as an `f64` it soon means nothing.
+    #[error("`{0}` is not in -360..=360")]
+    Angle(&'static str),
     /// The orbit is too near or too far.
     #[error("`distance` is not in 0.01..=100")]
     Distance,
@@ -91,16 +91,15 @@ impl Viewpoint {
             Self::View(name) => Ok(fitted(&view_named(name, cameras)?.camera(), size)),
             Self::Pose(camera) => Ok(fitted(camera, size)),
             Self::Orbit { azimuth, elevation, distance } => {
-                let azimuth = finite("azimuth", *azimuth)?;
-                let elevation = finite("elevation", *elevation)?;
-                let distance = finite("distance", *distance)?;
-                if !(0.01..=100.0).contains(&distance) {
+                let azimuth = angle("azimuth", *azimuth)?;
+                let elevation = angle("elevation", *elevation)?;
+                if !(0.01..=100.0).contains(distance) {
                     return Err(ViewpointError::Distance);
                 }
                 let first = cameras.first().ok_or(ViewpointError::NoOrbit)?;
                 let orbit = Orbit::from_cameras(cameras).ok_or(ViewpointError::NoOrbit)?;
                 let sides = size.resolve(&first.intrinsics);
-                Ok(orbit.camera(azimuth, elevation, distance, sides))
+                Ok(orbit.camera(azimuth, elevation, *distance, sides))
             }
         }
     }
@@ -126,8 +125,9 @@ fn unknown(name: &str, cameras: &[NamedCamera]) -> ViewpointError {
     ViewpointError::UnknownView { name: name.to_owned(), known: known.join(", ") }
 }
 
-fn finite(name: &'static str, value: f64) -> Result<f64, ViewpointError> {
-    if value.is_finite() { Ok(value) } else { Err(ViewpointError::NotFinite(name)) }
+/// Checks an angle in degrees.
+fn angle(name: &'static str, degrees: f64) -> Result<f64, ViewpointError> {
+    if degrees.abs() <= 360.0 { Ok(degrees) } else { Err(ViewpointError::Angle(name)) }
 }
 
 /// The same pose for a picture of another size: one scale for both axes, so that the whole field of
@@ -249,7 +249,11 @@ mod tests {
             "no view `d`; there are a, b, c"
         );
         assert_eq!(why(orbit(0.0, 1.0), &[]), ViewpointError::NoOrbit);
-        assert_eq!(why(orbit(f64::NAN, 1.0), &cameras), ViewpointError::NotFinite("azimuth"));
+        for azimuth in [f64::NAN, f64::INFINITY, 1e300, -360.5] {
+            assert_eq!(why(orbit(azimuth, 1.0), &cameras), ViewpointError::Angle("azimuth"));
+        }
+        assert!(orbit(-360.0, 1.0).camera(&cameras, PictureSize::default()).is_ok());
+        assert_eq!(why(orbit(0.0, f64::NAN), &cameras), ViewpointError::Distance);
         assert_eq!(why(orbit(0.0, 0.0), &cameras), ViewpointError::Distance);
     }
 }

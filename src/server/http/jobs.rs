@@ -13,7 +13,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::SMALL;
 use super::access::Visitor;
-use super::extract::{Json, Query, parsed, typed};
+use super::extract::{Json, Query, is_json, parsed, typed};
 use super::lookup::find;
 use super::order::Order;
 use super::page::{id, page_size};
@@ -130,6 +130,8 @@ pub async fn create(
     let key = idempotency_key(request.headers(), &visitor)?;
     let creation = if upload::is_multipart(request.headers()) {
         from_upload(&app, request, key.as_deref(), visitor.clone()).await?
+    } else if !is_json(request.headers()) {
+        return Err(upload::other_type());
     } else {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
         DefaultBodyLimit::max(SMALL).apply(&mut request);

@@ -46,11 +46,14 @@ pub struct RenderQuery {
     /// Name of a view or of its photograph.
     view: Option<String>,
     /// Degrees to the right of the middle of the photographs; 0 by default.
+    #[param(minimum = -360, maximum = 360)]
     azimuth: Option<f64>,
     /// Degrees above the photographs; 0 by default.
+    #[param(minimum = -360, maximum = 360)]
     elevation: Option<f64>,
     /// Distance from the centre as a multiple of the median distance of the photographs; 1 by
     /// default.
+    #[param(minimum = 0.01, maximum = 100)]
     distance: Option<f64>,
     /// Width, px; by default the view's, or in proportion to `height`.
     width: Option<usize>,
@@ -227,7 +230,7 @@ fn no_viewpoint(error: &ViewpointError) -> Problem {
         ViewpointError::NoOrbit => {
             Problem::unprocessable("bad_input", "The cameras of this job do not span an orbit.")
         }
-        ViewpointError::NotFinite(_) | ViewpointError::Distance => {
+        ViewpointError::Angle(_) | ViewpointError::Distance => {
             Problem::unprocessable("bad_input", format!("{error}."))
         }
     }

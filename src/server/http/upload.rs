@@ -168,14 +168,7 @@ pub async fn receive(
 /// The parts of a multipart/form-data body.
 async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
     if !is_multipart(request.headers()) {
-        return Err(Problem::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            "unsupported_media_type",
-            "The body is not multipart/form-data.",
-        )
-        .hint(
-            "Send multipart/form-data with parts named `images`, or JSON that lists `uploads`.",
-        ));
+        return Err(other_type());
     }
     let ahead = Arc::new(Ahead::default());
     let request = request.map(|body| ahead.clone().watch(body));
@@ -184,6 +177,19 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
         Problem::new(rejection.status(), "bad_request", rejection.body_text())
     })?;
     Ok((ahead, body))
+}
+
+/// 415: the body is neither a form nor JSON.
+pub fn other_type() -> Problem {
+    Problem::new(
+        StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        "unsupported_media_type",
+        "The body is neither multipart/form-data nor JSON.",
+    )
+    .hint(
+        "Send photographs, a ZIP file or a video as multipart/form-data, each in a part named \
+        `images` (`curl --form images=@capture.zip`). JSON names a `capture_id` or `uploads`.",
+    )
 }
 
 /// Returns whether the content type is multipart/form-data, ignoring case.

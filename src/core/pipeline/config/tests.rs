@@ -76,3 +76,22 @@ fn stored_options_that_no_longer_exist_are_dropped() {
     let whole = serde_json::to_value(&options).expect("JSON");
     assert_eq!(serde_json::json!(Options::known(&whole)), whole);
 }
+
+#[test]
+fn a_message_names_the_options_own_range() {
+    let refused = |assignment: &str| {
+        Options::default().with_assignment(assignment).expect_err("refused").to_string()
+    };
+    assert_eq!(
+        refused("rounds=two"),
+        "option `rounds`: must be a whole number from 1 to 8, or `auto`"
+    );
+    assert_eq!(refused("sh_degree=-1"), "option `sh_degree`: must be a whole number from 0 to 3");
+    assert_eq!(refused("rounds=9"), "option `rounds`: 9 is outside 1..=8");
+    let schema = serde_json::to_value(schemars::schema_for!(Options)).expect("a schema");
+    for (key, low, high) in RANGES {
+        let own = &schema["properties"][key];
+        let number = own.get("anyOf").map_or(own, |forms| &forms[0]);
+        assert_eq!((&number["minimum"], &number["maximum"]), (&low.into(), &high.into()), "{key}");
+    }
+}

@@ -221,7 +221,41 @@ fn a_body_that_does_not_fit_is_refused_in_plain_words() {
     }
     let options = json!({ "capture_id": server.capture(3), "options": { "sh_degree": "two" } });
     let refused = server.post_json("/v1/jobs", &options, &[]).expect(422).json();
-    let detail = "option `sh_degree`: must be a whole number from 0 to 4294967295";
+    let detail = "option `sh_degree`: must be a whole number from 0 to 3";
     assert_eq!(refused["detail"], detail);
     assert_eq!(refused["pointer"], "/options/sh_degree");
+}
+
+#[test]
+fn a_zip_as_the_whole_body_gets_a_hint() {
+    let server = Server::start();
+    let archive = zip(&[("a.png", vec![1, 2, 3])]);
+    for path in ["/v1/jobs", "/v1/captures"] {
+        let refused =
+            server.post(path, &archive, &[("content-type", "application/zip")]).expect(415);
+        let hint = refused.json()["hint"].as_str().expect("a hint").to_owned();
+        assert!(hint.contains("multipart/form-data") && hint.contains("`images`"), "{hint}");
+    }
+}
+
+#[test]
+fn a_wrong_address_is_a_page_for_people_and_a_problem_for_programs() {
+    let server = Server::start();
+    let page = server.get("/jobs/7", &[("accept", "text/html,*/*;q=0.8")]).expect(404);
+    assert_eq!(page.header("content-type"), "text/html; charset=utf-8");
+    assert!(page.text().contains("href=\"../assets/"), "{}", page.text());
+    let problem = server.get("/jobs/7", &[]).expect(404);
+    assert_eq!(problem.json()["code"], "not_found");
+}
+
+#[test]
+fn an_orbit_of_more_than_a_turn_is_refused() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    for query in ["azimuth=1e300", "elevation=-361"] {
+        let refused = server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]).expect(422).json();
+        let detail = refused["detail"].as_str().expect("a detail");
+        assert!(detail.contains("is not in -360..=360"), "{detail}");
+    }
 }
