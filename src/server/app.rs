@@ -1,5 +1,6 @@
 //! State shared by handlers and workers.
 
+pub mod crew;
 pub mod readiness;
 mod running;
 

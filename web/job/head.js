@@ -2,7 +2,7 @@
 
 import { compareWith } from "../compare/choose.js";
 import { ask } from "../lib/dialog.js";
-import { api, h, when } from "../lib/dom.js";
+import { api, h, prose, when } from "../lib/dom.js";
 import { edit } from "../lib/edit.js";
 import { seesAll } from "../lib/login.js";
 import { priorityField } from "./priority.js";
@@ -97,12 +97,12 @@ export function jobHead(base, refresh, who) {
   /** A waiting job's requirements of its machine. */
   let needed = "";
   function showNeeds() {
-    const now = job.waits_for ?? "";
+    const now = job.no_worker ?? job.waits_for ?? "";
     if (now === needed) return;
     needed = now;
     needs.hidden = !now;
     if (!now) return;
-    needs.replaceChildren(`Waiting for ${now}. Jobs that need less may start first.`);
+    needs.replaceChildren(...(job.no_worker ? prose(now) : [`Waiting for ${now}. Jobs that need less may start first.`]));
     if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "View workers"));
   }
 

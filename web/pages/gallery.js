@@ -24,7 +24,7 @@ export function gallery(refresh) {
   }
 
   async function judge(job) {
-    const report = job.state === "succeeded" && (await api(`/v1/jobs/${job.id}/rounds`).catch(() => null));
+    const report = job.state === "succeeded" && (await api(`v1/jobs/${job.id}/rounds`).catch(() => null));
     const judged = report && verdict(report);
     if (!judged) return;
     line(job).classList.add(judged.tone);

@@ -103,6 +103,7 @@ export function now(job, known) {
 /** Its position, and the job before it if the list knows it. */
 function waits(job, known) {
   const place = doing(job);
+  if (job.no_worker) return `${place}: ${job.no_worker.replaceAll("`", "")}`;
   if (job.queue_position === 1) {
     if (job.waits_for) return `${place}: starts when ${job.waits_for} is free`;
     const runs = known.some((other) => other.state === "running");

@@ -88,7 +88,7 @@ async function pages(wanted, state) {
     if (state) query.set("state", state);
     if (cursor) query.set("cursor", cursor);
     /** @type {import("fled-api").Jobs} */
-    const page = await api(`/v1/jobs?${query}`);
+    const page = await api(`v1/jobs?${query}`);
     jobs.push(...page.jobs);
     cursor = page.next_cursor;
     if (!cursor || jobs.length >= wanted) return { jobs, isAll: !cursor };

@@ -85,7 +85,7 @@ async function fill(pair, id, round) {
 
 /** The first photograph of a job's capture. */
 async function photograph(pair, job) {
-  const capture = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
+  const capture = await api(`v1/captures/${job.capture_id}`).catch(() => null);
   const image = capture?.images.find(({ accepted }) => accepted);
   const small = image && thumbnail(capture, image);
   if (small) pair.append(small);

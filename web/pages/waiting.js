@@ -1,6 +1,6 @@
 // Waiting jobs, by the machine they need.
 
-import { count, h, refill } from "../lib/dom.js";
+import { count, h, prose, refill } from "../lib/dom.js";
 
 /** Jobs named per group; the list has all. */
 const NAMED = 5;
@@ -43,5 +43,7 @@ function group([wanted, jobs]) {
     h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
   ]);
   const rest = jobs.length > NAMED ? ` and ${(jobs.length - NAMED).toLocaleString()} more` : "";
-  return h("li", {}, `${count(jobs.length, "job")} waiting for ${wanted}: `, links, rest);
+  const lack = jobs.find((job) => job.no_worker)?.no_worker;
+  const said = `${count(jobs.length, "job")} waiting for ${wanted}: `;
+  return h("li", {}, said, links, rest, lack && h("p", { class: "problem" }, prose(lack)));
 }

@@ -34,7 +34,7 @@ function line(kind, ids) {
 
 async function discard(id) {
   try {
-    await api(`/v1/uploads/${id}`, { method: "DELETE", headers: { "Tus-Resumable": "1.0.0" } });
+    await api(`v1/uploads/${id}`, { method: "DELETE", headers: { "Tus-Resumable": "1.0.0" } });
   } catch (error) {
     // The server has deleted it already, as requested.
     if (error.status !== 404) throw error;

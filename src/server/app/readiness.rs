@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
+use super::crew::Crew;
 use crate::process::{Group, Line};
 use crate::redaction::without_paths;
 use crate::store::Engine;
@@ -14,7 +15,7 @@ use crate::store::Engine;
 /// One check of the server.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Check {
-    /// Name: `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` and so on.
+    /// Name: `database`, `disk`, `workers`, `adapter`, `colmap`, `onnxruntime`, `models` and so on.
     pub name: String,
     /// Whether the check passed.
     pub ok: bool,
@@ -49,6 +50,8 @@ struct Doctor {
 pub async fn checks(app: &App) -> (Vec<Check>, Option<bool>) {
     let mut checks = vec![database(app).await, disk(app)];
     checks.extend(files(app).await);
+    // Without a database, its own check says so.
+    checks.extend(Crew::of(app).await.ok().map(|crew| crew.check()));
     // Concurrent callers wait for one child process instead of starting several.
     let mut remembered = app.readiness.lock().await;
     if remembered.as_ref().is_none_or(|known| known.at.elapsed() > BELIEVED) {

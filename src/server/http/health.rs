@@ -11,12 +11,15 @@ use utoipa::ToSchema;
 use crate::app::App;
 use crate::app::readiness::{Check, checks};
 
+/// Name of the check of workers.
+const WORKERS: &str = "workers";
+
 /// Whether the server can take jobs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Readiness {
-    /// Whether every check passed.
+    /// Whether every check but `workers` passed: without a worker, jobs are accepted and wait.
     ready: bool,
-    /// Checks of the database, disk, adapter, COLMAP, ONNX Runtime and models.
+    /// Checks of the database, disk, workers, adapter, COLMAP, ONNX Runtime and models.
     checks: Vec<Check>,
     /// Whether this machine has a GPU; absent if that is unknown, or if jobs also run elsewhere.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -33,11 +36,11 @@ pub async fn live() -> &'static str {
 /// Reports whether the server can take jobs, and what is missing.
 #[utoipa::path(get, path = "/readyz", operation_id = "ready", tag = "health",
     responses(
-        (status = 200, description = "Every check passed", body = Readiness),
-        (status = 503, description = "At least one check failed", body = Readiness)))]
+        (status = 200, description = "Every check but `workers` passed", body = Readiness),
+        (status = 503, description = "Another check failed", body = Readiness)))]
 pub async fn ready(State(app): State<Arc<App>>) -> Response {
     let (checks, has_gpu) = checks(&app).await;
-    let ready = checks.iter().all(|check| check.ok);
+    let ready = checks.iter().all(|check| check.ok || check.name == WORKERS);
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     (status, axum::Json(Readiness { ready, checks, has_gpu })).into_response()
 }

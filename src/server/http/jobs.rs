@@ -26,10 +26,11 @@ use super::texts::check_value;
 use super::upload::{self, OPTIONS, Upload};
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
+use crate::app::crew::Crew;
 use crate::error::ServerError;
 use crate::files::remove;
 use crate::store::state::JobState;
-use crate::store::{Creation, JobFilter, JobRow};
+use crate::store::{Creation, JobFilter, JobRow, ToldJob};
 
 /// How long a cancellation waits for the job to end before it responds.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
@@ -101,6 +102,8 @@ pub struct ListQuery {
     state: Option<JobState>,
     /// Only jobs of this capture.
     capture_id: Option<String>,
+    /// Only the job that a request with this `Idempotency-Key` created.
+    idempotency_key: Option<String>,
     /// Maximum number of results; 50 by default.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
@@ -288,17 +291,20 @@ fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<Stri
         return Ok(None);
     };
     match value.to_str() {
-        Ok(key) if (1..=255).contains(&key.len()) && is_plain(key) => {
-            Ok(Some(match visitor.owner() {
-                // A key contains no line break.
-                Some(owner) => format!("{owner}\n{key}"),
-                None => key.to_owned(),
-            }))
-        }
+        Ok(key) if (1..=255).contains(&key.len()) && is_plain(key) => Ok(Some(own(key, visitor))),
         _ => Err(Problem::unprocessable(
             "bad_input",
             "`Idempotency-Key` must have 1 to 255 ASCII characters.",
         )),
+    }
+}
+
+/// A key as stored: with the visitor's owner, apart from the same key of others.
+fn own(key: &str, visitor: &Visitor) -> String {
+    match visitor.owner() {
+        // A key contains no line break.
+        Some(owner) => format!("{owner}\n{key}"),
+        None => key.to_owned(),
     }
 }
 
@@ -315,15 +321,21 @@ pub async fn list(
     let limit = page_size(query.limit)?;
     let cursor = id(query.cursor.as_deref(), "cursor")?;
     let capture = id(query.capture_id.as_deref(), "capture_id")?;
-    let only =
-        JobFilter { state: query.state, capture: capture.as_deref(), owner: visitor.sees_only() };
+    let key = query.idempotency_key.map(|key| own(&key, &visitor));
+    let only = JobFilter {
+        state: query.state,
+        capture: capture.as_deref(),
+        owner: visitor.sees_only(),
+        key: key.as_deref(),
+    };
     let found = app.store.jobs(only, limit + 1, cursor.as_deref());
     let mut found = found.await?;
     let more = found.len() > limit as usize;
     found.truncate(limit as usize);
     let last = found.last().filter(|_| more);
     let next_cursor = last.map(|job| job.row.id.clone());
-    let jobs = found.into_iter().map(Job::from_told).collect();
+    let crew = crew(&app, &found).await?;
+    let jobs = found.into_iter().map(|job| Job::from_told(job, crew.as_ref())).collect();
     Ok(axum::Json(Jobs { jobs, next_cursor }))
 }
 
@@ -406,5 +418,13 @@ pub(super) fn over(row: &JobRow) -> Problem {
 /// Returns the job's JSON, or 404.
 pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
     let job = app.store.told_job(id).await?;
-    job.map(Job::from_told).ok_or_else(|| Problem::not_found("job"))
+    let job = job.ok_or_else(|| Problem::not_found("job"))?;
+    let crew = crew(app, std::slice::from_ref(&job)).await?;
+    Ok(Job::from_told(job, crew.as_ref()))
+}
+
+/// The connected workers, if any of these jobs waits for one.
+async fn crew(app: &App, jobs: &[ToldJob]) -> Result<Option<Crew>, Problem> {
+    let waits = jobs.iter().any(|job| job.row.state == JobState::Queued);
+    Ok(if waits { Some(Crew::of(app).await?) } else { None })
 }

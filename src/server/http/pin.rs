@@ -5,6 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 
+use super::jobs::told;
 use super::problem::Problem;
 use super::shapes::Job;
 use crate::app::App;
@@ -37,7 +38,5 @@ pub async fn unpin(
 
 async fn set(app: &App, id: &str, pinned: bool) -> Result<Json<Job>, Problem> {
     app.store.pin_job(id, pinned).await?;
-    let job = app.store.told_job(id).await?;
-    let job = job.ok_or_else(|| Problem::not_found("job"))?;
-    Ok(Json(Job::from_told(job)))
+    Ok(Json(told(app, id).await?))
 }

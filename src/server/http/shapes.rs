@@ -8,6 +8,7 @@ use serde_json::Value;
 use utoipa::ToSchema;
 use utoipa::openapi::Ref;
 
+use crate::app::crew::Crew;
 use crate::store::state::JobState;
 use crate::store::{CaptureRow, JobRow, ToldJob};
 use crate::validation::{CaptureReport, Warning};
@@ -91,6 +92,8 @@ pub struct Job {
     pub priority: i64,
     /// What a worker must have to run this queued job; `null` if any worker can.
     pub waits_for: Option<String>,
+    /// Why no connected worker can run this queued job, and what to start; `null` if one can.
+    pub no_worker: Option<String>,
     /// Current or last round, from 1; 0 before the first.
     pub round: u32,
     /// Number of planned rounds.
@@ -193,7 +196,7 @@ pub struct Jobs {
 }
 
 impl Job {
-    pub fn from_told(job: ToldJob) -> Self {
+    pub fn from_told(job: ToldJob, crew: Option<&Crew>) -> Self {
         let ToldJob { row, warnings, stages, queue_position, stage_started_at, score } = job;
         Self {
             warnings: warnings
@@ -209,6 +212,7 @@ impl Job {
                 })
                 .collect(),
             waits_for: waits_for(&row),
+            no_worker: crew.and_then(|crew| no_worker(&row, crew)),
             id: row.id,
             name: row.name,
             tags: row.tags,
@@ -255,6 +259,11 @@ fn waits_for(row: &JobRow) -> Option<String> {
         let memory = row.needs.memory >> 30;
         format!("a worker with a GPU and {memory} GiB of memory")
     })
+}
+
+/// Why no worker can run a queued job.
+fn no_worker(row: &JobRow, crew: &Crew) -> Option<String> {
+    crew.lacks(&row.needs).filter(|_| row.state == JobState::Queued)
 }
 
 /// RFC 3339 in UTC.

@@ -136,6 +136,8 @@ pub struct JobFilter<'a> {
     pub capture: Option<&'a str>,
     /// Jobs of this owner.
     pub owner: Option<&'a str>,
+    /// The job that a request with this idempotency key created.
+    pub key: Option<&'a str>,
 }
 
 /// Jobs with their queue position and current stage. The queue has the order of `Store::claim`,
@@ -184,6 +186,7 @@ impl Store {
             (only.state.map(JobState::name), "state = #"),
             (only.capture, "capture_id = #"),
             (only.owner, "capture_id IN (SELECT id FROM captures WHERE owner = #)"),
+            (only.key, "id IN (SELECT job_id FROM idempotency WHERE key = #)"),
         ];
         let mut page = format!("{DETAILED} WHERE video_of IS NULL");
         let mut bound = Vec::new();

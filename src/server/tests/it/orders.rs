@@ -239,3 +239,42 @@ fn a_different_priority_is_a_different_request() {
     assert_eq!(ask(&json!(5)).expect(422).json()["code"], "key_reused");
     assert_eq!(ask(&Value::Null).expect(422).json()["code"], "key_reused");
 }
+
+#[test]
+fn without_a_worker_a_waiting_job_says_what_to_start() {
+    let mut server = Server::start_with(&[("FLED_FAKE_WORKERS", "0")]);
+    let job = server.job("ok");
+    let lack = "This server runs no jobs. Start it again with `--workers 1` or more.";
+    assert_eq!(server.show(&job)["no_worker"], lack);
+    let list = server.get("/v1/jobs", &[]).expect(200).json();
+    assert_eq!(list["jobs"][0]["no_worker"], lack);
+    let workers = |server: &Server| {
+        let ready = server.get("/readyz", &[]).json();
+        let checks = ready["checks"].as_array().expect("checks").clone();
+        checks.into_iter().find(|check| check["name"] == "workers").expect("a check")
+    };
+    let check = workers(&server);
+    assert_eq!(
+        (&check["ok"], &check["detail"]),
+        (&false.into(), &"This server runs no jobs".into())
+    );
+    server.restart();
+    server.wait_state(&job, "succeeded");
+    assert!(server.show(&job)["no_worker"].is_null());
+    assert_eq!(workers(&server)["ok"], true);
+}
+
+#[test]
+fn a_job_is_found_by_its_idempotency_key() {
+    let server = Server::start();
+    let found = |key: &str| {
+        let list = server.get(&format!("/v1/jobs?idempotency_key={key}"), &[]).expect(200).json();
+        let jobs = list["jobs"].as_array().expect("jobs").clone();
+        jobs.iter().map(|job| job["id"].as_str().expect("id").to_owned()).collect::<Vec<_>>()
+    };
+    assert!(found("a").is_empty());
+    let order = json!({ "capture_id": server.capture(3), "options": { "adapter": "ok" } });
+    let made = server.post_json("/v1/jobs", &order, &[("idempotency-key", "a")]).expect(202).json();
+    server.post_json("/v1/jobs", &order, &[("idempotency-key", "b")]).expect(202);
+    assert_eq!(found("a"), [made["id"].as_str().expect("id")]);
+}
