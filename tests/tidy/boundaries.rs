@@ -58,7 +58,7 @@ const BOUNDARIES: [Boundary; 6] = [
 ];
 
 /// The modules of the server. Each uses only those before it.
-const SERVER: [&str; 21] = [
+const SERVER: [&str; 22] = [
     "error",
     "failpoint",
     "token",
@@ -69,6 +69,7 @@ const SERVER: [&str; 21] = [
     "config",
     "process",
     "files",
+    "memory",
     "validation",
     "validator",
     "render",
