@@ -20,17 +20,28 @@ export async function requestOf(job, needsToken) {
     ...(job.priority && { priority: job.priority }),
   };
   const url = new URL("v1/jobs", location.href).href;
-  const texts = { curl: curl(url, order, needsToken), Python: python(url, order, needsToken), JavaScript: javaScript(url, order, needsToken) };
+  const texts = {
+    curl: curl(url, order, needsToken),
+    Python: python(url, order, needsToken),
+    JavaScript: javaScript(url, order, needsToken),
+  };
   const root = h("div", {},
     h("p", { class: "hint" }, "Starts a job of the same photographs with the same options. ",
       needsToken && "It takes the token from the variable FLED_TOKEN."),
     Object.entries(texts).map(([language, text], i) => h("details", { open: i === 0 },
-      h("summary", {}, language), h("pre", { tabIndex: 0, "aria-label": language }, text), copy(language, text))));
+      h("summary", {}, language),
+      h("pre", { tabIndex: 0, "aria-label": language }, text),
+      copy(language, text))));
   return Object.assign(root, { gist: Object.keys(texts).join(", ") });
 }
 
 function copy(language, text) {
-  const button = h("button", { type: "button", class: "small", "aria-label": `Copy ${language}`, onclick: copied }, "Copy");
+  const button = h("button", {
+    type: "button",
+    class: "small",
+    "aria-label": `Copy ${language}`,
+    onclick: copied,
+  }, "Copy");
   async function copied() {
     try {
       await navigator.clipboard.writeText(text);
@@ -62,29 +73,39 @@ const PYTHON = { true: "True", false: "False", null: "None" };
 /** A value in Python; a string of JSON is one of Python, too. */
 function literal(value, indent = "") {
   const deeper = `${indent}    `;
-  const block = (open, items, close) =>
-    items.length === 0 ? open + close : `${open}\n${items.map((item) => `${deeper}${item},\n`).join("")}${indent}${close}`;
+  const block = (open, items, close) => {
+    const lines = items.map((item) => `${deeper}${item},\n`).join("");
+    return items.length === 0 ? open + close : `${open}\n${lines}${indent}${close}`;
+  };
   if (Array.isArray(value)) return block("[", value.map((one) => literal(one, deeper)), "]");
   if (value !== null && typeof value === "object") {
-    return block("{", Object.entries(value).map(([key, one]) => `${JSON.stringify(key)}: ${literal(one, deeper)}`), "}");
+    const pair = ([key, one]) => `${JSON.stringify(key)}: ${literal(one, deeper)}`;
+    return block("{", Object.entries(value).map(pair), "}");
   }
   const text = JSON.stringify(value);
   return PYTHON[text] ?? text;
 }
+
+const TOKEN_IN_PYTHON = 'headers["Authorization"] = "Bearer " + os.environ["FLED_TOKEN"]\n';
 
 const python = (url, order, needsToken) => `import json
 ${needsToken ? "import os\n" : ""}from urllib.request import Request, urlopen
 
 order = ${literal(order)}
 headers = {"Content-Type": "application/json"}
-${needsToken ? 'headers["Authorization"] = "Bearer " + os.environ["FLED_TOKEN"]\n' : ""}request = Request(${JSON.stringify(url)}, json.dumps(order).encode(), headers)
+${needsToken ? TOKEN_IN_PYTHON : ""}address = ${JSON.stringify(url)}
+request = Request(address, json.dumps(order).encode(), headers)
 with urlopen(request) as answer:
     print(json.load(answer)["id"])
 `;
 
+const TOKEN_IN_JAVASCRIPT = "headers.Authorization = `Bearer ${process.env.FLED_TOKEN}`;\n";
+
 const javaScript = (url, order, needsToken) => `const order = ${JSON.stringify(order, null, 2)};
 const headers = { "Content-Type": "application/json" };
-${needsToken ? "headers.Authorization = `Bearer ${process.env.FLED_TOKEN}`;\n" : ""}const answer = await fetch(${JSON.stringify(url)}, { method: "POST", headers, body: JSON.stringify(order) });
+${needsToken ? TOKEN_IN_JAVASCRIPT : ""}const address = ${JSON.stringify(url)};
+const body = JSON.stringify(order);
+const answer = await fetch(address, { method: "POST", headers, body });
 const job = await answer.json();
 if (!answer.ok) throw new Error(job.detail);
 console.log(job.id);
