@@ -51,7 +51,7 @@ pub(super) struct Seen {
 pub(super) struct Fault {
     reason: String,
     unsupported_format: bool,
-    header: Option<Header>,
+    header: Option<Box<Header>>,
 }
 
 impl Fault {
@@ -180,8 +180,9 @@ impl<'a> Assessor<'a> {
             return Err(unread.unwrap_or(ImageError::TooManyBytes { bytes }).into());
         }
         let header = self.header(entry)?;
-        let reject =
-            |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
+        let reject = |reason: String| {
+            Err(Fault { header: Some(Box::new(header.clone())), ..Fault::of(reason) })
+        };
         if header.width.min(header.height) < SMALLEST_SIDE {
             return reject(format!(
                 "{} x {} px: each side must have at least {SMALLEST_SIDE}",
@@ -192,7 +193,7 @@ impl<'a> Assessor<'a> {
         let (small, prepared) = match self.small(entry, &header, file) {
             Ok(small) => small,
             Err(error) => {
-                return Err(Fault { header: Some(header), ..Fault::from(error) });
+                return Err(Fault { header: Some(Box::new(header)), ..Fault::from(error) });
             }
         };
         (self.tell)(Look::Seen(entry.name().as_str(), &entry.file, &small));

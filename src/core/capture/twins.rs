@@ -1,4 +1,5 @@
-//! Two files of one exposure: phones and cameras write a JPEG beside a HEIC or a raw file. If both were used, one could be trained on while the other is held out for measurement.
+//! Two files of one exposure: phones and cameras write a JPEG beside a HEIC or a raw file. If both
+//! were used, one could be trained on while the other is held out for measurement.
 
 use std::collections::{HashMap, HashSet};
 

@@ -152,7 +152,7 @@ impl Decoded {
         #[cfg(test)]
         DECODED.lock().expect("unpoisoned").push(path.to_owned());
         guarded(|| match Source::open(path)? {
-            Source::Picture(opened) => Ok(Self::Samples(Samples::decode(opened, path)?)),
+            Source::Picture(opened) => Ok(Self::Samples(Samples::decode(*opened, path)?)),
             Source::Raw(raw) => Ok(Self::Light(raw.light(long_side, white_balance)?)),
         })
     }
@@ -167,7 +167,7 @@ impl Decoded {
 
 /// A file whose header has been read and accepted: a picture, or a raw file.
 enum Source {
-    Picture(Opened),
+    Picture(Box<Opened>),
     Raw(Box<Raw>),
 }
 
@@ -189,7 +189,7 @@ impl Source {
             Kind::Unread(format) => Err(ImageError::Unread(format)),
             Kind::Unknown => Err(ImageError::UnknownFormat),
         }
-        .map(Self::Picture)
+        .map(|opened| Self::Picture(Box::new(opened)))
     }
 
     fn into_header(self) -> Header {
@@ -248,7 +248,7 @@ impl Opened {
     /// For masks and alpha, which raw files have not.
     fn open(path: &Path) -> Result<Self, ImageError> {
         match Source::open(path)? {
-            Source::Picture(opened) => Ok(opened),
+            Source::Picture(opened) => Ok(*opened),
             Source::Raw(_) => {
                 Err(ImageError::Unsupported { message: "a raw file in place of a mask".to_owned() })
             }

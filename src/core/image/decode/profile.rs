@@ -64,7 +64,7 @@ pub(super) fn of_png(file: &mut (impl BufRead + Seek)) -> Option<Colour> {
     if info.icc_profile.is_some() || info.srgb.is_some() {
         return None;
     }
-    let gamma = info.gama_chunk.map(|gamma| gamma.into_value());
+    let gamma = info.gama_chunk.map(png::ScaledFloat::into_value);
     let chromaticities = info.chrm_chunk.map(|of| {
         [of.white, of.red, of.green, of.blue].map(|(x, y)| [x.into_value(), y.into_value()])
     });

@@ -62,7 +62,8 @@ fn no_colour_of_a_mosaic_is_shifted() {
 
 #[test]
 fn noise_below_black_stays_so_that_its_mean_is_black() {
-    let noise = |x: usize, y: usize| [0.01 * if (x / 2 + y / 2) % 2 == 0 { 1.0 } else { -1.0 }; 3];
+    let noise =
+        |x: usize, y: usize| [0.01 * if (x / 2 + y / 2).is_multiple_of(2) { 1.0 } else { -1.0 }; 3];
     let raw = opened(Sensor::Bayer, (96, 72), noise);
     let full = raw.light(96, None).expect("light");
     let least = full.data().iter().copied().fold(0.0_f32, f32::min);
