@@ -24,7 +24,8 @@ impl Crew {
         if app.config.workers > 0 && app.config.about.is_none() {
             machines.push(Machine::ANY);
         }
-        if is_shared {
+        // A server that says what its machine has is one of the workers that report.
+        if is_shared || app.config.about.is_some() {
             let lost_before = app.store.now().await? - app.limits.lease_ms();
             let workers = app.store.workers().await?;
             let present = workers.iter().filter(|w| !w.draining && w.seen_at >= lost_before);
