@@ -26,6 +26,8 @@ pub use exif::Shot;
 pub(crate) use exif::tests::block as exif_block;
 pub use hdr::HdrTransfer;
 pub use raw::RawHeader;
+#[cfg(test)]
+pub(crate) use raw::dng;
 pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;
 pub use transfer::{linear_to_srgb, srgb_to_linear};

@@ -52,8 +52,9 @@ impl RoundOutput {
         Self { next, scene, depends_on }
     }
 
-    fn guides(&self) -> &[Image] {
-        &self.next.guides
+    /// HR, which only deblurring reads: a picture a view that training would keep in memory.
+    fn take_guides(&mut self) -> Vec<Image> {
+        std::mem::take(&mut self.next.guides)
     }
 
     fn predecessor(&self) -> Predecessor<'_> {
@@ -130,7 +131,7 @@ pub fn run(
     }
     let mut before: Option<RoundOutput> = None;
     for index in 0..in_effect.round_count() as usize {
-        let input = RoundInput { request, index, before: before.as_ref() };
+        let input = RoundInput { request, index, before };
         before = round(context, tools, input, &mut state, &mut report)?;
         if before.is_none() {
             break;
@@ -148,12 +149,11 @@ struct Request<'a> {
 }
 
 /// One round of a request, and the round before it.
-#[derive(Clone, Copy)]
 struct RoundInput<'a> {
     request: Request<'a>,
     /// 0-based.
     index: usize,
-    before: Option<&'a RoundOutput>,
+    before: Option<RoundOutput>,
 }
 
 /// Runs one round; returns its results for the next, which may have another state.
@@ -168,20 +168,22 @@ fn round(
     state: &mut RoundState,
     report: &mut Report,
 ) -> Result<Option<RoundOutput>, PipelineError> {
-    let (request, before) = (input.request, input.before);
+    let (request, mut before) = (input.request, input.before);
     let (capture, effective) = (request.capture, request.effective);
     let options = &effective.options;
     let (poses, views, brightening) = (&state.poses, &mut state.views, &state.brightening);
     let round = &brightening.rounds[input.index];
-    let on = state.depends_on.round(round.number, before.map(|before| &before.depends_on));
-    let brightened = before.map(|before| before.next.enhanced.clone());
+    let on = state.depends_on.round(round.number, before.as_ref().map(|before| &before.depends_on));
+    let brightened = before.as_ref().map(|before| before.next.enhanced.clone());
+    let guides = before.as_mut().map(RoundOutput::take_guides);
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
         views,
         enhanced: &enhanced,
-        guides: before.filter(|_| on.is_guided).map(RoundOutput::guides), // HR
+        guides: guides.as_deref().filter(|_| on.is_guided), // HR
     };
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
+    drop(guides);
     let known = report.rounds.last().map(|before| &before.views[..]);
     let with_kernel = effective.kernels(views, known);
     let trained = trained_on(options, round, views, &with_kernel, [&enhanced, &deblurred]);
@@ -195,7 +197,7 @@ fn round(
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
-        before: before.map(RoundOutput::predecessor), // V_{i-1}
+        before: before.as_ref().map(RoundOutput::predecessor), // V_{i-1}
     };
     let scene = reconstruct(context, tools.device, data, &on.reconstruct)?; // V_i
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);

@@ -9,6 +9,7 @@ use crate::cancel::CancelToken;
 use crate::dataset::GivenPoses;
 use crate::event::Silent;
 use crate::image::Linear;
+use crate::image::dng::{self, Sensor};
 use crate::pipeline::poses::pose_view;
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::SparseModel;
@@ -479,6 +480,40 @@ fn of_two_files_of_one_exposure_one_is_used() {
     // Photographs that share only a name.
     let (used, ..) = open(&[("0.png", png(10)), ("1.png", png(11))]);
     assert_eq!(used, "0.jpg 0.png 1.jpg 1.png 2.jpg 3.jpg");
+}
+
+/// A camera writes both. Raw files have one white balance, whatever each was shot with.
+#[test]
+fn of_a_raw_file_and_its_jpeg_the_raw_file_is_used() {
+    let dng = |seed: usize, red: f64| {
+        let light = picture(seed, 96, 64).to_linear();
+        let at = |x: usize, y: usize| light.get(x.min(95), y.min(63)).map(f64::from);
+        dng::written(Sensor::Bayer, (96, 64), 1, [red, 1.0, 1.0], at)
+    };
+    let home = folder(&[
+        ("a.jpg", jpeg(0)),
+        ("A.DNG", dng(0, 1.0)),
+        ("b.dng", dng(1, 1.0)),
+        ("c.dng", dng(2, 1.4)),
+    ]);
+    let capture = Capture::open(&home.path().join("capture"), home.path()).expect("a capture");
+    let used: Vec<&str> = capture.views.iter().map(|view| view.path.as_str()).collect();
+    assert_eq!(used, ["A.DNG", "b.dng", "c.dng"]);
+    let listed = capture.assessments.iter().find(|one| one.name == "a.jpg").expect("listed");
+    assert_eq!(listed.reason.as_deref(), Some("the same exposure as A.DNG"));
+    let raw = capture.assessments.iter().find(|one| one.name == "c.dng").expect("listed");
+    assert_eq!(raw.colours.as_deref(), Some("raw, Fled Test"));
+    for (view, seed) in capture.views.iter().zip(0..) {
+        let (found, wanted) =
+            (view.prepared.load().expect("read"), picture(seed, 96, 64).to_linear());
+        let mean = |image: &Image<Linear>| {
+            [0, 1, 2]
+                .map(|channel| image.plane(channel).iter().sum::<f32>() / image.pixels() as f32)
+        };
+        for (found, wanted) in mean(&found).into_iter().zip(mean(&wanted)) {
+            assert!((found - wanted).abs() < 0.02, "{}: {found} for {wanted}", view.name);
+        }
+    }
 }
 
 #[test]
