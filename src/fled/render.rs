@@ -109,9 +109,10 @@ fn gains(args: &Args, run: &RunFolder, cameras: &[NamedCamera]) -> Result<Gains,
     let Some(exposure) = report.exposure else {
         return Err(Failure::usage("the run left the photographs as taken (exposure=as_taken)"));
     };
-    let of_view = exposure.views.get(&view.name);
-    Ok(of_view
-        .map_or_else(Gains::default, |of| Gains::of(of.stops, of.tint).scaled(exposure.share)))
+    let Some(of) = exposure.views.get(&view.name) else {
+        return Err(Failure::usage(format!("the exposure of {name} was not found")));
+    };
+    Ok(Gains::of(of.stops, of.tint).scaled(exposure.share))
 }
 
 /// Parses stops of exposure.

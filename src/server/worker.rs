@@ -253,10 +253,14 @@ pub fn after_death(limits: &Limits, deaths: u32, ran_out: bool) -> Settlement {
         0 | 1 => 0,
         _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
     };
-    let kind = if ran_out { ErrorKind::OomHost } else { ErrorKind::Internal };
+    // While it is tried again, what the kernel ended may have been another process.
+    let kind = if ran_out && !again { ErrorKind::OomHost } else { ErrorKind::Internal };
     let detail = match (again, ran_out) {
         (true, false) => "continued after a restart of the server".to_owned(),
-        (true, true) => "continued after a restart of the server: memory ran out".to_owned(),
+        (true, true) => {
+            "continued after a restart of the server: the kernel reported a lack of memory"
+                .to_owned()
+        }
         (false, _) => {
             format!("the server died {deaths} times without progress while this job ran")
         }

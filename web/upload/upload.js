@@ -19,7 +19,7 @@ const RATE_AFTER = 2;
 /** `{ root, leave, known(jobs) }`: the form shows how long such jobs took recently. */
 export function startForm() {
   // The list below shows the chosen files; the browser's own text would claim there are none.
-  const files = h("input", { type: "file", class: "heard", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.dng,.cr2,.cr3,.nef,.arw,.raf,.orf,.rw2,.pef,.srw,.mp4,.mov,.m4v" });
+  const files = h("input", { type: "file", class: "heard", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.3fr,.arw,.cr2,.cr3,.crw,.dcr,.dng,.erf,.fff,.gpr,.iiq,.kdc,.mef,.mos,.mrw,.nef,.nrw,.orf,.pef,.raf,.rw2,.rwl,.sr2,.srf,.srw,.x3f,.mp4,.mov,.m4v" });
   const folder = h("input", { type: "file", class: "heard", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");

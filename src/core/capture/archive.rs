@@ -40,7 +40,7 @@ const MAX_TOTAL_RATIO: u64 = 25;
 /// Archives up to this unpacked size may have any ratio.
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
 
-/// Largest file that is unpacked only to identify it; pose lists and raw files are smaller.
+/// Largest file that is unpacked only to identify it; pose lists are smaller.
 const MAX_METADATA_BYTES: u64 = 64 << 20;
 
 /// Largest total size of such files, bytes.

@@ -200,6 +200,8 @@ impl<'a> Assessor<'a> {
         let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
         let v = small.pixels();
         let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
+        // Light of a raw file may be below black, that of a wide gamut above white.
+        let mean_v = mean_v.clamp(0.0, 1.0);
         let (low, high) =
             small.data().iter().fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
         if high - low < 1.5 / 255.0 {

@@ -33,6 +33,7 @@ struct One<'a> {
     stem: String,
     /// Position of its format in [`KEEPING`], or [`RAW`].
     format: usize,
+    extension: String,
 }
 
 /// The unused photographs by index, each with the index of the twin that is used. A photograph
@@ -77,11 +78,14 @@ impl<'a> One<'a> {
             Some(_) => RAW,
             None => format.unwrap_or(KEEPING.len()),
         };
-        Self { entry, seen, stem, format }
+        let extension = extension.to_owned();
+        Self { entry, seen, stem, format, extension }
     }
 
     fn is_twin_of(&self, other: &Self) -> bool {
-        if self.format == other.format {
+        // A converter writes a DNG beside a camera's own raw file.
+        let is_other_raw = self.format == RAW && self.extension != other.extension;
+        if self.format == other.format && !is_other_raw {
             return false;
         }
         let [own, its] = [self, other].map(|one| &one.seen.header);

@@ -5,6 +5,8 @@
 //! outside of sRGB have light below 0 or above 1. Profiles of tables are converted by `moxcms` to
 //! 16-bit sRGB. White stays white (media-relative, ICC.1:2022).
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use moxcms::{
     Chromaticity, CicpColorPrimaries, ColorPrimaries, ColorProfile, DataColorSpace, Layout,
     ProfileText, RenderingIntent, ToneCurveEvaluator, ToneReprCurve, TransformOptions,
@@ -22,6 +24,13 @@ const COMPARED: u16 = 64;
 
 /// Largest matrix element of a plausible profile; primaries in a line give infinity.
 const LARGEST_ELEMENT: f32 = 16.0;
+
+/// The `gAMA` that says sRGB: 1/2.2, which programs write beside its own chunk or in place of it,
+/// and 1/1.961, which ffmpeg writes for the curves of video.
+const USUAL_GAMMAS: [f32; 2] = [0.454_55, 0.509_94];
+
+/// Light of a value in 0..=1 that a plausible curve gives.
+const PLAUSIBLE_LIGHT: std::ops::RangeInclusive<f32> = -1.0..=2.0;
 
 /// What the values of a picture mean.
 pub(super) struct Colour {
@@ -59,8 +68,18 @@ impl Curve {
         }
     }
 
+    fn is_plausible(&self) -> bool {
+        compared().all(|value| PLAUSIBLE_LIGHT.contains(&self.light(value)))
+    }
+
     fn of(curve: Option<&ToneReprCurve>) -> Result<Self, String> {
         let curve = curve.ok_or("it has no curve")?;
+        // One entry is an exponent in 256ths, which moxcms 0.8.1 evaluates wrongly at black.
+        if let ToneReprCurve::Lut(table) = curve
+            && let [exponent] = table[..]
+        {
+            return Ok(Self::Power(f32::from(exponent) / 256.0));
+        }
         let evaluator = curve.make_linear_evaluator().map_err(|error| error.to_string())?;
         Ok(Self::Profile(evaluator))
     }
@@ -82,8 +101,13 @@ impl Colour {
     /// # Errors
     /// Why it cannot be used.
     pub(super) fn of_icc(bytes: &[u8], is_grey: bool) -> Result<Self, String> {
-        let profile = ColorProfile::new_from_slice(bytes).map_err(|error| error.to_string())?;
-        Self::of_profile(profile, is_grey)
+        // A profile that its reader does not survive is as unusable as a broken one.
+        let read = || {
+            let profile = ColorProfile::new_from_slice(bytes).map_err(|error| error.to_string())?;
+            Self::of_profile(profile, is_grey)
+        };
+        catch_unwind(AssertUnwindSafe(read))
+            .unwrap_or_else(|_| Err("its reader gave up".to_owned()))
     }
 
     fn of_profile(profile: ColorProfile, is_grey: bool) -> Result<Self, String> {
@@ -146,8 +170,7 @@ impl Colour {
 
     /// PNG's `gAMA` (the exponent of encoding) and `cHRM` (white, red, green, blue; xy).
     pub(super) fn of_gamma(gamma: Option<f32>, chromaticities: Option<[[f32; 2]; 4]>) -> Self {
-        // What programs write for sRGB, beside or in place of its own chunk.
-        let is_usual = |gamma: &f32| (gamma - 0.454_55).abs() < 5e-4;
+        let is_usual = |gamma: &f32| USUAL_GAMMAS.iter().any(|usual| (gamma - usual).abs() < 5e-4);
         let gamma = gamma.filter(|gamma| *gamma > 0.05 && *gamma < 5.0 && !is_usual(gamma));
         let curve = || gamma.map_or(Curve::Srgb, |gamma| Curve::Power(gamma.recip()));
         let to_srgb = chromaticities.map_or(IDENTITY, |[white, red, green, blue]| {
@@ -164,6 +187,9 @@ impl Colour {
         let is_plausible = |element: &f32| element.abs() < LARGEST_ELEMENT;
         if !shaper.to_srgb.iter().flatten().all(is_plausible) {
             return Err("its primaries are not three colours".to_owned());
+        }
+        if !shaper.curves.iter().all(Curve::is_plausible) {
+            return Err("its curves are not of light".to_owned());
         }
         Ok(if shaper.is_srgb() {
             Self::srgb()
@@ -227,14 +253,17 @@ impl Shaper {
     fn is_srgb(&self) -> bool {
         let (of_curve, of_matrix) = SRGB_TOLERANCE;
         let is_close = |curve: &Curve| {
-            (0..=COMPARED)
-                .map(|step| f32::from(step) / f32::from(COMPARED))
-                .all(|value| (curve.light(value) - srgb_to_linear(value)).abs() < of_curve)
+            compared().all(|value| (curve.light(value) - srgb_to_linear(value)).abs() < of_curve)
         };
         let mut elements = self.to_srgb.iter().flatten().zip(IDENTITY.iter().flatten());
         elements.all(|(own, other)| (own - other).abs() < of_matrix)
             && self.curves.iter().all(is_close)
     }
+}
+
+/// Values over the whole range.
+fn compared() -> impl Iterator<Item = f32> {
+    (0..=COMPARED).map(|step| f32::from(step) / f32::from(COMPARED))
 }
 
 const IDENTITY: [[f32; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

@@ -27,7 +27,7 @@ use self::heic::Heic;
 use self::profile::Declared;
 use super::colour::Colour;
 use super::hdr::HdrTransfer;
-use super::raw::{Raw, RawHeader};
+use super::raw::{self, Raw, RawHeader};
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
 use super::{Image, Linear, Shot, Srgb, exif};
@@ -184,6 +184,9 @@ impl Source {
                 Err(ImageError::Unsupported { message: "a HEIC of more than 128 MiB".to_owned() })
             }
             Kind::Heic => Opened::heic(whole(file).map_err(io)?),
+            Kind::Raw if length > raw::LONGEST => Err(ImageError::Unsupported {
+                message: "a raw file of more than 256 MiB".to_owned(),
+            }),
             Kind::Raw => return Ok(Self::Raw(Box::new(Raw::open(whole(file).map_err(io)?)?))),
             Kind::Video => Err(ImageError::Video),
             Kind::Unread(format) => Err(ImageError::Unread(format)),
@@ -290,7 +293,7 @@ impl Opened {
                 })
             }
             ImageFormat::Png => {
-                let declared = profile::of_png(&mut file).map(Declared::Colour);
+                let declared = profile::of_png(&mut file);
                 file.rewind().map_err(io)?;
                 Self::with_reader(file, format, 0, declared)
             }

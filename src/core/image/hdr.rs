@@ -34,7 +34,7 @@ impl fmt::Display for HdrTransfer {
 
 impl HdrTransfer {
     /// The transfer function for a code point of ITU-T H.273; `None` for those of normal range.
-    pub(super) fn of_code(transfer: u16) -> Option<Self> {
+    pub(in crate::image) fn of_code(transfer: u16) -> Option<Self> {
         match transfer {
             16 => Some(Self::Pq),
             18 => Some(Self::Hlg),

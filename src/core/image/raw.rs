@@ -25,6 +25,22 @@ use super::decode::{ImageError, MAX_PIXELS};
 use super::resize::at_most;
 use super::{Image, Linear, Shot, exif};
 
+/// Maximum file size, bytes: it is read whole, several times. 100 megapixels of 16 bits take 200 MiB.
+pub(super) const LONGEST: u64 = 256 << 20;
+
+/// Characters of a camera's name, and of a decoder's message, that are kept of a file's text.
+const CAMERA_LENGTH: usize = 60;
+const MESSAGE_LENGTH: usize = 200;
+
+/// Largest element of a camera's plausible matrix.
+const LARGEST_ELEMENT: f64 = 16.0;
+
+/// Opcodes of DNG's second list that are applied; cameras write a map for each colour.
+const MAX_OPCODES: usize = 64;
+
+/// In place of a sensitivity that does not fit EXIF's tag.
+const UNKNOWN_ISO: u32 = 65_535;
+
 /// Bytes at the beginning of a file that hold its EXIF, if it is built like a TIFF.
 const EXIF_PREFIX: usize = 1 << 19;
 
@@ -48,8 +64,8 @@ pub struct RawHeader {
 pub(super) struct Raw {
     file: FlashRaw<'static>,
     bytes: u64,
-    /// From EXIF tags that `flashraw` leaves out.
     focal_px: Option<f64>,
+    shot: Option<Shot>,
 }
 
 impl Raw {
@@ -72,18 +88,22 @@ impl Raw {
             | SensorLayout::XTrans
             | SensorLayout::Monochrome
             | SensorLayout::Linear => {}
-            other => return Err(unsupported(format!("a sensor of kind {other:?}"))),
+            _ => {
+                let message = "a sensor that is not Bayer, X-Trans, quad-Bayer or without colours";
+                return Err(unsupported(message.to_owned()));
+            }
         }
-        if info.cfa.is_some_and(|cfa| cfa.four_colour_order().is_some()) {
-            return Err(unsupported("a sensor of four colours".to_owned()));
-        }
+        check_samples(info)?;
+        // Where the file is built like a TIFF, its own tags know more than `flashraw` passes on.
+        let exif = is_tiff.then(|| exif::read(prefix)).flatten();
+        let (width, height) = (width as usize, height as usize);
         let of_equivalent = file.metadata().exposure.focal_length_35mm.map(f64::from);
-        let focal_px = is_tiff
-            .then(|| exif::read(prefix))
-            .flatten()
-            .and_then(|exif| exif::focal_px(&exif, width as usize, height as usize))
-            .or_else(|| exif::of_equivalent(of_equivalent?, width as usize, height as usize));
-        Ok(Self { file, bytes: length, focal_px })
+        let focal_px = exif
+            .as_ref()
+            .and_then(|exif| exif::focal_px(exif, width, height))
+            .or_else(|| exif::of_equivalent(of_equivalent?, width, height));
+        let shot = exif.as_ref().and_then(exif::shot).or_else(|| shot(&file));
+        Ok(Self { file, bytes: length, focal_px, shot })
     }
 
     /// Width and height of the upright picture, px.
@@ -103,25 +123,19 @@ impl Raw {
     }
 
     pub(super) fn shot(&self) -> Option<Shot> {
-        let exposure = &self.file.metadata().exposure;
-        let positive = |value: f64| (value.is_finite() && value > 0.0).then_some(value);
-        Some(Shot {
-            seconds: positive(exposure.exposure_time?)?,
-            iso: positive(f64::from(exposure.iso?))?,
-            f_number: exposure.f_number.and_then(|f| positive(f64::from(f))),
-        })
+        self.shot
     }
 
     pub(super) fn header(&self) -> RawHeader {
-        let camera = self.file.metadata().camera();
+        let camera = self.file.metadata().camera().chars().take(CAMERA_LENGTH).collect();
         RawHeader { camera, white_balance: white_balance(self.file.frame_info()) }
     }
 
-    /// Bytes that decoding needs: the file, its samples as integers and as floats, and sums.
+    /// Bytes that decoding needs: the file, its samples as integers and as floats, and the picture.
     pub(super) fn decoded_bytes(&self) -> u64 {
         let info = self.file.frame_info();
         let samples = u64::from(info.width) * u64::from(info.height) * u64::from(info.cpp);
-        self.bytes.saturating_add(samples.saturating_mul(8))
+        self.bytes.saturating_add(samples.saturating_mul(12))
     }
 
     /// The picture with its long side reduced to at most `long_side` px, balanced to
@@ -148,18 +162,51 @@ impl Raw {
         let frame = self.file.decode(options).map_err(|error| image_error(&error))?;
         let (cpp, width) = (frame.cpp as usize, frame.width as usize);
         let mut samples = normalised(&frame, info);
+        drop(frame);
         shade(&mut samples, info);
-        let balance = match info.white_balance_applied {
-            true => [1.0; 3],
-            false => at_least_one(white_balance.unwrap_or_else(|| self.header().white_balance)),
-        };
+        let own = self.header().white_balance;
+        let wanted = white_balance.unwrap_or(own);
+        let balance = at_least_one(match info.white_balance_applied {
+            true => [0, 1, 2].map(|channel| wanted[channel] / own[channel]),
+            false => wanted,
+        });
         let mosaic = Mosaic { samples: &samples, width, cpp, cfa: info.cfa, crop: info.crop };
         let (crop_width, crop_height) = (info.crop.width as usize, info.crop.height as usize);
         let size = at_most(crop_width, crop_height, long_side.max(1));
         let mut image = mosaic.averaged(size, balance);
+        drop(samples);
         mixed(&mut image, &camera_to_srgb(info));
         Ok(turned(image, self.orientation()))
     }
+}
+
+/// # Errors
+/// [`ImageError::RawUnread`] for samples that are not one colour of three each, or all three.
+fn check_samples(info: &FrameInfo) -> Result<(), ImageError> {
+    let is_other = |cfa: flashraw::CfaPattern| cfa.colors().iter().any(|c| channel(*c).is_none());
+    if info.cfa.is_some_and(is_other) {
+        let message = "a sensor of other colours than red, green and blue";
+        return Err(unsupported(message.to_owned()));
+    }
+    if !matches!((info.cfa.is_some(), info.cpp), (true, 1) | (false, 1 | 3 | 4)) {
+        return Err(unsupported(format!("{} samples a pixel", info.cpp)));
+    }
+    if (info.pixel_aspect - 1.0).abs() > 0.01 {
+        return Err(unsupported("pixels that are not square".to_owned()));
+    }
+    Ok(())
+}
+
+/// The exposure that `flashraw` finds.
+fn shot(file: &FlashRaw<'_>) -> Option<Shot> {
+    let exposure = &file.metadata().exposure;
+    let positive = |value: f64| (value.is_finite() && value > 0.0).then_some(value);
+    let iso = exposure.iso.filter(|iso| *iso != UNKNOWN_ISO)?;
+    Some(Shot {
+        seconds: positive(exposure.exposure_time?)?,
+        iso: positive(f64::from(iso))?,
+        f_number: exposure.f_number.and_then(|f| positive(f64::from(f))),
+    })
 }
 
 fn limits() -> Limits {
@@ -197,7 +244,7 @@ fn normalised(frame: &RawFrame, info: &FrameInfo) -> Vec<f32> {
 fn shade(samples: &mut [f32], info: &FrameInfo) {
     let Some(opcodes) = info.opcodes.as_ref().and_then(|lists| {
         let list = &lists.lists[1];
-        dng_opcodes::parse(list).ok().filter(|opcodes| !opcodes.is_empty())
+        dng_opcodes::parse(list).ok().filter(|all| !all.is_empty() && all.len() <= MAX_OPCODES)
     }) else {
         return;
     };
@@ -254,23 +301,34 @@ fn camera_to_srgb(info: &FrameInfo) -> [[f32; 3]; 3] {
         DMat3::from_diagonal(white.recip()) * of
     });
     let inverse = balanced.map_or(DMat3::IDENTITY, |of| of.inverse());
-    let inverse = if inverse.is_finite() { inverse } else { DMat3::IDENTITY };
+    let is_plausible = inverse.to_cols_array().iter().all(|v| v.abs() < LARGEST_ELEMENT);
+    let inverse = if is_plausible { inverse } else { DMat3::IDENTITY };
     inverse.transpose().to_cols_array_2d().map(|row| row.map(|v| v as f32))
 }
 
 /// Turned upright.
 fn turned(image: Image<Linear>, orientation: Orientation) -> Image<Linear> {
-    if orientation == Orientation::NoTransforms {
-        return image;
-    }
-    let (width, height) = (image.width() as u32, image.height() as u32);
-    let at = |x: u32, y: u32| image::Rgb(image.get(x as usize, y as usize));
-    let mut picture: image::DynamicImage = image::Rgb32FImage::from_fn(width, height, at).into();
-    picture.apply_orientation(orientation);
-    let picture = picture.into_rgb32f();
-    let mut upright = Image::new(picture.width() as usize, picture.height() as usize);
-    for (x, y, pixel) in picture.enumerate_pixels() {
-        upright.set(x as usize, y as usize, pixel.0);
+    let (width, height) = (image.width(), image.height());
+    let (right, bottom) = (width - 1, height - 1);
+    // Where a pixel of the upright picture comes from.
+    let from: &dyn Fn(usize, usize) -> (usize, usize) = match orientation.to_exif() {
+        2 => &|x, y| (right - x, y),
+        3 => &|x, y| (right - x, bottom - y),
+        4 => &|x, y| (x, bottom - y),
+        5 => &|x, y| (y, x),
+        6 => &|x, y| (y, bottom - x),
+        7 => &|x, y| (right - y, bottom - x),
+        8 => &|x, y| (right - y, x),
+        _ => return image,
+    };
+    let is_quarter = orientation.to_exif() >= 5;
+    let mut upright =
+        if is_quarter { Image::new(height, width) } else { Image::new(width, height) };
+    for y in 0..upright.height() {
+        for x in 0..upright.width() {
+            let (from_x, from_y) = from(x, y);
+            upright.set(x, y, image.get(from_x, from_y));
+        }
     }
     upright
 }
@@ -285,19 +343,17 @@ fn channel(colour: CfaColor) -> Option<usize> {
     }
 }
 
-fn unsupported(what: String) -> ImageError {
-    ImageError::RawUnread { message: what }
+fn unsupported(message: String) -> ImageError {
+    ImageError::RawUnread { message }
 }
 
 fn image_error(error: &Error) -> ImageError {
+    // It may quote the file.
+    let message = error.to_string().chars().take(MESSAGE_LENGTH).collect();
     match error {
-        Error::CorruptFile { .. } | Error::InvalidMetadata(_) => {
-            ImageError::Damaged { message: error.to_string() }
-        }
-        Error::LimitExceeded(_) | Error::OutOfMemory(_) => {
-            ImageError::Unsupported { message: error.to_string() }
-        }
-        other => unsupported(other.to_string()),
+        Error::CorruptFile { .. } | Error::InvalidMetadata(_) => ImageError::Damaged { message },
+        Error::LimitExceeded(_) | Error::OutOfMemory(_) => ImageError::Unsupported { message },
+        _ => unsupported(message),
     }
 }
 

@@ -65,7 +65,8 @@ impl Crew {
     pub fn check(&self) -> Check {
         let lack = self.lacks(&Needs::default());
         let (detail, hint) = match lack.as_deref().map(|words| words.split_once(". ")) {
-            None => (format!("{} can run jobs", self.machines.len()), ""),
+            None if self.machines.len() == 1 => ("1 worker can run jobs".to_owned(), ""),
+            None => (format!("{} workers can run jobs", self.machines.len()), ""),
             Some(words) => {
                 words.map_or_else(Default::default, |(what, to_do)| (what.into(), to_do))
             }

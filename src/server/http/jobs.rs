@@ -22,7 +22,7 @@ use super::problem::Problem;
 use super::quota::bytes_left;
 use super::room::{check_room, over_quota_jobs, queue_full};
 use super::shapes::{Job, Jobs, report};
-use super::texts::check_value;
+use super::texts::{check_text, check_value};
 use super::upload::{self, OPTIONS, Upload};
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
@@ -321,6 +321,9 @@ pub async fn list(
     let limit = page_size(query.limit)?;
     let cursor = id(query.cursor.as_deref(), "cursor")?;
     let capture = id(query.capture_id.as_deref(), "capture_id")?;
+    if let Some(key) = &query.idempotency_key {
+        check_text(key, "/idempotency_key")?;
+    }
     let key = query.idempotency_key.map(|key| own(&key, &visitor));
     let only = JobFilter {
         state: query.state,

@@ -441,7 +441,8 @@ impl Attempt<'_> {
                 } else {
                     "The log shows what it did last."
                 });
-                self.failure(ErrorKind::Internal, detail, hint.to_owned()).await
+                let kind = if ran_out { ErrorKind::OomHost } else { ErrorKind::Internal };
+                self.failure(kind, detail, hint.to_owned()).await
             }
         }
     }

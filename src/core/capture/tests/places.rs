@@ -486,12 +486,13 @@ fn of_two_files_of_one_exposure_one_is_used() {
 #[test]
 fn of_a_raw_file_and_its_jpeg_the_raw_file_is_used() {
     let dng = |seed: usize, red: f64| {
-        let light = picture(seed, 96, 64).to_linear();
-        let at = |x: usize, y: usize| light.get(x.min(95), y.min(63)).map(f64::from);
-        dng::written(Sensor::Bayer, (96, 64), 1, [red, 1.0, 1.0], at)
+        let light = patches(seed, 160, 0.6).to_linear();
+        let at = |x: usize, y: usize| light.get(x, y).map(f64::from);
+        dng::written(Sensor::Bayer, (160, 160), 1, [red, 1.0, 1.0], at)
     };
+    let jpeg = patches(0, 160, 0.6).encode(EncodeFormat::Jpeg(90)).expect("encoded");
     let home = folder(&[
-        ("a.jpg", jpeg(0)),
+        ("a.jpg", jpeg),
         ("A.DNG", dng(0, 1.0)),
         ("b.dng", dng(1, 1.0)),
         ("c.dng", dng(2, 1.4)),
@@ -505,7 +506,7 @@ fn of_a_raw_file_and_its_jpeg_the_raw_file_is_used() {
     assert_eq!(raw.colours.as_deref(), Some("raw, Fled Test"));
     for (view, seed) in capture.views.iter().zip(0..) {
         let (found, wanted) =
-            (view.prepared.load().expect("read"), picture(seed, 96, 64).to_linear());
+            (view.prepared.load().expect("read"), patches(seed, 160, 0.6).to_linear());
         let mean = |image: &Image<Linear>| {
             [0, 1, 2]
                 .map(|channel| image.plane(channel).iter().sum::<f32>() / image.pixels() as f32)

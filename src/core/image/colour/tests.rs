@@ -162,6 +162,20 @@ fn patches_in_every_colour_space_and_format_have_their_golden_light() {
 }
 
 #[test]
+fn black_is_black_in_every_colour_space() {
+    for profile in [
+        ColorProfile::new_display_p3(),
+        ColorProfile::new_adobe_rgb(),
+        ColorProfile::new_pro_photo_rgb(),
+        linear_srgb(),
+    ] {
+        let colour = Colour::of_icc(&profile.encode().expect("a profile"), false).expect("read");
+        assert!(colour.light(0, 0.0).abs() < 1e-6, "{:?}", colour.name());
+        assert!((colour.light(0, 1.0) - 1.0).abs() < 1e-4, "{:?}", colour.name());
+    }
+}
+
+#[test]
 fn a_broken_profile_is_named_and_the_values_are_srgb() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("a.png");
@@ -205,6 +219,23 @@ fn png_chunks_code_points_and_exif_declare_colours_too() {
     assert!(error(&path, &LINEAR) < 0.5, "gAMA of linear light");
     png(&|info| info.source_gamma = Some(png::ScaledFloat::new(0.45455)));
     assert!(error(&path, &SRGB) < 0.5, "the usual gAMA is sRGB");
+    png(&|info| {
+        info.source_gamma = Some(png::ScaledFloat::new(0.50994));
+        let xy = [(0.3127, 0.329), (0.64, 0.33), (0.3, 0.6), (0.15, 0.06)];
+        let of = png::SourceChromaticities::new(xy[0], xy[1], xy[2], xy[3]);
+        info.source_chromaticities = Some(of);
+    });
+    assert!(error(&path, &SRGB) < 0.5, "a frame that ffmpeg wrote of a BT.709 video");
+    png(&|info| {
+        info.coding_independent_code_points = Some(png::CodingIndependentCodePoints {
+            color_primaries: 9,
+            transfer_function: 16,
+            matrix_coefficients: 0,
+            is_video_full_range_image: true,
+        });
+    });
+    let fault = read_header(&path).expect("a header").profile_fault;
+    assert!(fault.is_none_or(|fault| fault.contains("PQ")));
     png(&|info| {
         let xy = [(0.3127, 0.329), (0.68, 0.32), (0.265, 0.69), (0.15, 0.06)];
         let of = png::SourceChromaticities::new(xy[0], xy[1], xy[2], xy[3]);

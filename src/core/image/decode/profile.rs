@@ -2,11 +2,13 @@
 
 use std::io::{BufRead, Read, Seek};
 
-use exif::{Exif, In, Tag, Value};
+use exif::{Exif, In, Tag};
 use image::ImageDecoder;
+use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, Limits};
 
 use crate::image::colour::Colour;
+use crate::image::hdr::HdrTransfer;
 
 /// Largest ICC profile of a TIFF, bytes; those of printers have half a mebibyte.
 const LARGEST_PROFILE: usize = 4 << 20;
@@ -16,6 +18,8 @@ pub(super) enum Declared {
     Colour(Colour),
     /// An ICC profile.
     Icc(Vec<u8>),
+    /// What is not read; the values are taken for sRGB's.
+    Unread(String),
 }
 
 /// The colours of a picture, and why its ICC profile is not applied, if it is not. What the
@@ -29,6 +33,7 @@ pub(super) fn of(
     let is_grey = !decoder.color_type().has_color();
     let icc = match declared {
         Some(Declared::Colour(colour)) => return (colour, None),
+        Some(Declared::Unread(reason)) => return (Colour::srgb(), Some(reason)),
         Some(Declared::Icc(bytes)) => Ok(Some(bytes)),
         None => decoder.icc_profile(),
     };
@@ -45,8 +50,8 @@ pub(super) fn of(
 
 fn is_adobe_rgb(exif: &Exif) -> bool {
     let index = exif.get_field(Tag::InteroperabilityIndex, In::PRIMARY);
-    let is_r03 = |value: &Value| match value {
-        Value::Ascii(texts) => texts.iter().any(|text| text.starts_with(b"R03")),
+    let is_r03 = |value: &exif::Value| match value {
+        exif::Value::Ascii(texts) => texts.iter().any(|text| text.starts_with(b"R03")),
         _ => false,
     };
     index.is_some_and(|field| is_r03(&field.value))
@@ -54,12 +59,16 @@ fn is_adobe_rgb(exif: &Exif) -> bool {
 
 /// The colours of a PNG by other chunks than `iCCP`: `cICP` comes before it, `gAMA` and `cHRM`
 /// after it and after `sRGB`. `None` leaves them to the profile, if any.
-pub(super) fn of_png(file: &mut (impl BufRead + Seek)) -> Option<Colour> {
+pub(super) fn of_png(file: &mut (impl BufRead + Seek)) -> Option<Declared> {
     // A broken header is for the decoder to report.
     let reader = png::Decoder::new(file).read_info().ok()?;
     let info = reader.info();
     if let Some(points) = info.coding_independent_code_points {
-        return Colour::of_code_points(points.color_primaries, points.transfer_function);
+        let (primaries, transfer) = (points.color_primaries, points.transfer_function);
+        if let Some(range) = HdrTransfer::of_code(transfer.into()) {
+            return Some(Declared::Unread(format!("{range}, which is read in HEIC only")));
+        }
+        return Colour::of_code_points(primaries, transfer).map(Declared::Colour);
     }
     if info.icc_profile.is_some() || info.srgb.is_some() {
         return None;
@@ -68,14 +77,16 @@ pub(super) fn of_png(file: &mut (impl BufRead + Seek)) -> Option<Colour> {
     let chromaticities = info.chrm_chunk.map(|of| {
         [of.white, of.red, of.green, of.blue].map(|(x, y)| [x.into_value(), y.into_value()])
     });
-    (gamma.is_some() || chromaticities.is_some()).then(|| Colour::of_gamma(gamma, chromaticities))
+    let is_declared = gamma.is_some() || chromaticities.is_some();
+    is_declared.then(|| Declared::Colour(Colour::of_gamma(gamma, chromaticities)))
 }
 
 /// The ICC profile of a TIFF's first page, which the picture's decoder leaves out if it is large
 /// against the picture.
 pub(super) fn of_tiff(file: &mut (impl Read + Seek)) -> Option<Vec<u8>> {
     let mut limits = Limits::default();
-    limits.ifd_value_size = 64 * LARGEST_PROFILE;
+    // The decoder counts the values that it parses, not the bytes of the file.
+    limits.decoding_buffer_size = LARGEST_PROFILE * size_of::<Value>();
     let mut decoder = Decoder::new(file).ok()?.with_limits(limits);
     decoder.get_tag_u8_vec(tiff::tags::Tag::IccProfile).ok()
 }

@@ -97,7 +97,9 @@ impl Mosaic<'_> {
                 1 => colours[index % colours.len()].map_or(1.0, |channel| balance[channel]),
                 cpp => balance[(index % cpp).min(2)],
             };
-            *to = (gain * sample).min(1.0);
+            let light = gain * sample;
+            // A shading map may leave what is no number.
+            *to = if light.is_nan() { 0.0 } else { light.clamp(-1.0, 1.0) };
         }
     }
 
