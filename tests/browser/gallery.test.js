@@ -43,6 +43,38 @@ both("jobs are cards with their scene, verdict and time", async (width) =>
     await seen(page.getByRole("heading", { level: 1 }), FINISHED);
   }, width));
 
+/** The list, of which the server says what `change(job)` makes of each job. */
+const altered = (name, change, judge) => stand.visit(name, "#/captures", async (page) => {
+  await page.route("**/v1/jobs?*", async (route) => {
+    const body = await (await route.fetch()).json();
+    await route.fulfill({ json: { ...body, jobs: body.jobs.map((job) => (job.name === FINISHED ? { ...job, ...change(job) } : job)) } });
+  });
+  await page.goto(`${server.base}/#/`);
+  await judge(page, card(page, FINISHED));
+});
+
+test("a job that ends while the list is open gets its verdict, and other cards stay as they are", () => {
+  let change = { state: "running", finished_at: null, best_round: null };
+  return altered("gallery-ends", () => change, async (page, one) => {
+    await seen(one.locator(".state"), "running");
+    await until("its picture is there", async () => (await one.locator(".pair img").count()) === 2);
+    const other = await card(page, "one with little gain").elementHandle();
+    await other.evaluate((node) => { node.firstElementChild.isMarked = true; });
+    change = {};
+    await seen(one.locator(".judged.good"), "5.0 dB better than brightening alone: a large gain");
+    assert.ok(await other.evaluate((node) => node.isConnected && node.firstElementChild.isMarked), "it is not redrawn");
+  });
+});
+
+test("a job that waits to retry shows its error and its place in the queue", () => {
+  const error = { code: "device_lost", detail: "The GPU was reset." };
+  const change = { state: "queued", finished_at: null, error, queue_position: 2, no_worker: "Start `fled work`." };
+  return altered("gallery-retry", () => change, async (_, one) => {
+    await seen(one.locator(".bad"), "the GPU stopped responding");
+    await seen(one.locator(".soft"), "position 2 in the queue, waiting to retry: Start fled work.");
+  });
+});
+
 const opacity = (image) => image.evaluate((one) => Number(getComputedStyle(one).opacity));
 
 test("hovering over a card, or its focus, shows the photograph", () =>
@@ -96,6 +128,8 @@ test("a phone shows at least three jobs of the compact list on a screen", () =>
     const jobs = Array.from({ length: 6 }, (_, i) => ({ ...job, id: `${job.id.slice(0, -1)}${i}`, name: `job with a longer name ${i}` }));
     await page.route("**/v1/jobs?*", (route) => route.fulfill({ json: { jobs } }));
     await page.route("**/artifacts/cameras.json", (route) => route.fulfill({ json: [] }));
+    // Cards ask for it, if they see the jobs first.
+    await page.route("**/rounds", (route) => route.fulfill({ json: { rounds: [] } }));
     await button(page, "Table").click();
     const rows = page.locator("tbody tr");
     await until("they are there", async () => (await rows.count()) === 6);

@@ -30,17 +30,23 @@ export function thumbs(also = () => null) {
   async function work() {
     if (busy >= AT_ONCE || waiting.length === 0) return;
     busy += 1;
-    await waiting.shift().load();
-    busy -= 1;
-    work();
+    try {
+      await waiting.shift().load();
+    } finally {
+      busy -= 1;
+      work();
+    }
   }
 
   function pairOf(job) {
     const round = restored(job);
+    // A job that ends has a verdict, too, even if its last round is shown already.
+    const key = `${round} ${job.state === "succeeded"} ${job.finished_at}`;
     const known = made.get(job.id);
-    if (known?.round === round) return known;
+    if (known?.key === key) return known;
+    if (known) near.unobserve(known);
     const pair = Object.assign(h("span", { class: "pair" }), {
-      round,
+      key,
       load: () => Promise.all([round ? fill(pair, job.id, round) : photograph(pair, job), also(job)]),
     });
     made.set(job.id, pair);
