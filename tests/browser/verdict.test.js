@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { LIMITS, verdict } from "../../web/job/verdict.js";
+import { LIMITS, done, found, notable, verdict } from "../../web/job/verdict.js";
 import { loaded } from "./browser.js";
 import { Stand, both, button, part, seen } from "./played.js";
 import { until } from "./until.js";
@@ -51,8 +51,8 @@ both("a large gain is the first thing that a finished job says", async (width) =
   opened("verdict-large", await played("ok"), async (page) => {
     assert.deepEqual(await lines(page), [
       "5.0 dB better than brightening alone: a large gain",
-      "Found: 2 of 8 photographs are shaken, up to 7 px; exposures differ by up to 1.2 stops; the photographs are 3.5 stops too dark.",
-      "Done: Brightened by 3.5 stops; exposures evened; the shake of 3 photographs corrected; noise 2.0 times weaker.",
+      "Found: 2 of 8 photographs are shaken, by up to 7 px; exposures differ by up to 1.2 stops; the photographs are 3.5 stops too dark.",
+      "Done: Brightened by 3.5 stops; exposures evened out; the shake of 3 photographs corrected; noise reduced 2.0 times.",
       "Compared with the ground truth of this capture.",
     ]);
     assert.ok(await onScreen(page.locator(".judged")), "on the first screen");
@@ -130,6 +130,49 @@ test("each threshold divides the verdicts", () => {
   assert.equal(verdict({ best_round: 1, rounds: [{ round: 1, score: 0.7, records: [] }] }), null);
 });
 
+test("photographs are as dark as the last round finds them, and brightened by the delivered one", () => {
+  const round = (number, ev, render = 0.01) => ({ round: number, anchor: { ev }, noise_sigma: { enhanced: 0.04, render }, records: [] });
+  const report = { best_round: 1, registered: 8, views: 8, rounds: [round(1, 2), round(2, 3.5)] };
+  assert.deepEqual(found(report), ["the photographs are 3.5 stops too dark"]);
+  assert.deepEqual(done(report), ["brightened by 2.0 stops", "noise reduced 4.0 times"]);
+  assert.deepEqual(done({ ...report, rounds: [round(1, 2, 0)] }), ["brightened by 2.0 stops"], "no finite ratio");
+});
+
+test("little to gain explains little agreement only", () => {
+  const words = (score) => verdict({
+    best_round: 1, shaken_views: 0,
+    rounds: [{ round: 1, score, noise_ceiling_db: 40, noise_sigma: { enhanced: LIMITS.clean / 2 }, records: [], views: [] }],
+  }).words;
+  assert.match(words(LIMITS.fair), /; the photographs were already sharp and clean, so there was little to gain$/);
+  for (const score of [LIMITS.close, LIMITS.fair - 1]) assert.doesNotMatch(words(score), /already/);
+});
+
+/** Ground truth of some photographs only: the others are compared with themselves, brightened. */
+function mixed(report) {
+  for (const view of report.rounds.at(-1).views.slice(5)) {
+    Object.assign(view, { reference: "enhanced", psnr_cc_db: 90, photograph_psnr_cc_db: null });
+  }
+}
+
+test("gains are not ranked among scores", () => {
+  const view = (name, psnr_cc_db, photograph_psnr_cc_db) =>
+    ({ name, psnr_cc_db, photograph_psnr_cc_db, reference: photograph_psnr_cc_db ? "gt" : "enhanced" });
+  const of = (...views) => notable({ rounds: [{ views }] });
+  const some = of(view("a", 22, 20), view("b", 30, null), view("c", 21, 20), view("d", 25, 20));
+  assert.deepEqual(some, { typical: "a", best: "d", poorest: "c" });
+  const none = of(view("a", 22, null), view("b", 30, null), view("c", 21, null));
+  assert.deepEqual(none, { typical: "a", best: "b", poorest: "c" });
+});
+
+test("with ground truth of some photographs only those are counted, and their scores shown", async () =>
+  opened("verdict-mixed", await played("little"), async (page) => {
+    assert.equal((await lines(page))[1], "Worse than the photographs in 1 of 5 views: 002");
+    const cells = part(page, "Scores by view").locator("tbody tr");
+    await cells.first().waitFor();
+    assert.equal(await cells.locator("[data-label='Gain, dB']", { hasText: /\d/ }).count(), 5);
+    assert.equal(await cells.locator("[data-label='Score, dB']", { hasText: /\d/ }).count(), 5);
+  }, "desktop", mixed));
+
 both("the comparison comes before the scene, at the pictures' size, with a typical view first", async (width) =>
   opened("verdict-views", await played("ok"), async (page) => {
     const views = part(page, "Views");
@@ -164,12 +207,19 @@ both("the list of views begins with the worst, is sorted by each column, and ope
     await root.waitFor();
     await root.locator("details").evaluate((one) => { one.open = true; });
     assert.deepEqual((await order(page)).slice(0, 2), ["002", "006"]);
+    await seen(root.locator(".hint"), "Worst first. Choose a photograph");
     const sort = async (title) => {
-      if (width === "phone") await root.getByLabel("Sort by").selectOption(title);
+      const choice = root.getByLabel("Sort by");
+      if (width === "phone") {
+        await choice.focus();
+        await choice.selectOption(title);
+        assert.equal(await choice.evaluate((one) => one === document.activeElement), true);
+      }
       else await root.getByRole("button", { name: title }).click();
     };
     await sort("Shake, px");
     assert.deepEqual((await order(page)).slice(0, 2), ["005", "001"], "the most shaken first");
+    await seen(root.locator(".hint"), /^Choose a photograph/);
     const head = root.locator("th", { hasText: "Shake" });
     assert.equal(await head.getAttribute("aria-sort"), "descending");
     const row = root.locator("tbody tr").first();

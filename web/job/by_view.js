@@ -1,9 +1,12 @@
 // Every photograph of a job in a list that can be sorted: its score, exposure, shake and position.
 
 import { h, show, folding } from "../lib/dom.js";
-import { row, table } from "../lib/table.js";
+import { table } from "../lib/table.js";
 import { places, positionWord } from "./poses.js";
 import { delivered, gained } from "./verdict.js";
+
+/** Columns in which the smallest value is the worst. */
+const SCORES = ["Gain, dB", "Score, dB"];
 
 /** Positions that need attention. */
 const ODD = ["doubtful", "taken_out", "not_found"];
@@ -33,8 +36,8 @@ const COLUMNS = [
 /** `{ root, update(report) }`; `open(name)` shows the pictures of a view. */
 export function byView(open) {
   const root = folding("Scores by view");
-  const sorts = h("select", { onchange: () => sort(sorts.value) });
-  const hint = h("p", { class: "hint" }, "Worst first. Choose a photograph to see it before and after.");
+  const sorts = h("select", { "data-key": "sort by", onchange: () => sort(sorts.value) });
+  const hint = h("p", { class: "hint" });
   let [rows, columns, known, by, isTurned] = [[], [], "", "", false];
 
   /** Sorts by a column, or turns the order of the current one. */
@@ -54,11 +57,12 @@ export function byView(open) {
     });
     list.classList.add("views");
     list.setAttribute("aria-label", "Scores by view");
-    hint.hidden = by !== first();
+    const isWorst = !isFalling && SCORES.includes(column.title);
+    hint.textContent = `${isWorst ? "Worst first. " : ""}Choose a photograph to see it before and after.`;
     sorts.value = by;
     const held = root.contains(document.activeElement) && document.activeElement.getAttribute("data-key");
     show(root, Object.assign(h("div", {}, h("label", { class: "sorts" }, "Sort by", sorts), hint, list), { gist: gist() }));
-    if (held) [...list.querySelectorAll("th button")].find((one) => one.dataset.key === held)?.focus();
+    if (held) [...root.querySelectorAll("[data-key]")].find((one) => one.dataset.key === held)?.focus();
   }
 
   const headOf = ({ title }, isFalling) => h("button", { type: "button", class: "sort", "data-key": title, onclick: () => sort(title) },
@@ -77,7 +81,7 @@ export function byView(open) {
   const isBad = (title, one) => (title === "Gain, dB" && one.gain < 0) || (title === "Position" && ODD.includes(one.status))
     || (title === "Shake, px" && one.isShaken);
 
-  const first = () => columns.find(({ title }) => title === "Gain, dB" || title === "Score, dB")?.title ?? "Photograph";
+  const first = () => columns.find(({ title }) => SCORES.includes(title))?.title ?? "Photograph";
 
   function gist() {
     const odd = rows.filter(({ status }) => ODD.includes(status)).length;
@@ -113,6 +117,7 @@ function sorted(rows, { of }, isFalling) {
 
 function rowsOf(report) {
   const views = new Map((delivered(report) ?? report.rounds.at(-1))?.views?.map((view) => [view.name, view]));
+  const usual = usualReference([...views.values()]);
   const light = report.exposure?.views ?? {};
   return places(report).map(({ name, status, matches, fitting, error_px: error, fit }) => {
     const view = views.get(name);
@@ -121,11 +126,20 @@ function rowsOf(report) {
       place: positionWord(status),
       fitting: matches > 0 ? fitting : undefined,
       gain: view && gained(view),
-      score: view?.psnr_cc_db,
+      score: view?.reference === usual ? view?.psnr_cc_db : undefined,
       stops: light[name]?.stops,
       shake: view?.shake_px,
       isShaken: view?.is_shaken === true,
       isSeen: view?.registered === true,
     };
   });
+}
+
+/** The reference of most scored views; scores against different ones do not compare. */
+function usualReference(views) {
+  const counts = new Map();
+  for (const { reference, psnr_cc_db: score } of views) {
+    if (Number.isFinite(score)) counts.set(reference, (counts.get(reference) ?? 0) + 1);
+  }
+  return [...counts].sort(([, a], [, b]) => b - a)[0]?.[0];
 }

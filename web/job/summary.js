@@ -39,17 +39,17 @@ function verdictOf(report, open) {
     h("p", {}, h("b", {}, title), " ", sentence(phrases));
   return h("div", { class: "verdict" },
     judged && h("p", { class: `judged ${judged.tone}` }, h("strong", {}, judged.figure), " ", judged.words),
-    judged && judged.views.length > 0 && exceptions(judged, report, open),
+    judged && judged.views.length > 0 && exceptions(judged, open),
     line("Found:", found(report)), line("Done:", done(report)),
     judged && h("p", { class: "hint" }, judged.note));
 }
 
 /** The views to look at, each with its pictures. */
-function exceptions({ views, isTruth }, report, open) {
+function exceptions({ views, of, isTruth }, open) {
   const words = isTruth ? "Worse than the photographs" : "Unlike the photographs";
   const links = views.slice(0, NAMED).flatMap((name, i) => [
     i > 0 ? ", " : "", h("button", { type: "button", class: "link", onclick: () => open(name) }, name)]);
-  return h("p", { class: "bad" }, `${words} in ${views.length} of ${count(report.registered, "view")}: `,
+  return h("p", { class: "bad" }, `${words} in ${views.length} of ${count(of, "view")}: `,
     links, views.length > NAMED ? ", …" : "");
 }
 

@@ -19,7 +19,7 @@ export const LIMITS = {
   alike: 0.5,
   /** Noise of clean photographs, standard deviation of 0 to 1. */
   clean: 0.008,
-  /** Noise that is this many times weaker is worth a word. */
+  /** A reduction of noise by this factor is worth a word. */
   weaker: 1.5,
   /** Differences of exposure and brightness that are visible, stops. */
   visible: 0.15,
@@ -37,10 +37,10 @@ export function delivered(report) {
 }
 
 /**
- * `{ tone, figure, words, note, views, isTruth }`: `tone` is `good`, `little` or `worse`, `figure`
- * the one number in dB, `words` what it means, `note` on its reference, and `views` the names of
- * those that are worse than (with ground truth), or unlike, their photographs. `null` if a report
- * of an earlier version lacks the scores.
+ * `{ tone, figure, words, note, views, of, isTruth }`: `tone` is `good`, `little` or `worse`,
+ * `figure` the one number in dB, `words` what it means, `note` on its reference, and `views` the
+ * names of those, of `of` compared ones, that are worse than (with ground truth), or unlike, their
+ * photographs. `null` if a report of an earlier version lacks the scores.
  * @param {any} report The report of a job's rounds.
  */
 export function verdict(report) {
@@ -52,32 +52,36 @@ export function verdict(report) {
 function byTruth(report, best) {
   const gain = gainOf(best);
   if (gain === undefined) return null;
-  const views = best.views.filter((view) => gained(view) < LIMITS.worse).map(({ name }) => name);
+  const compared = best.views.filter((view) => gained(view) !== undefined);
+  const views = compared.filter((view) => gained(view) < LIMITS.worse).map(({ name }) => name);
   const figure = `${Math.abs(gain).toFixed(1)} dB`;
   const note = "Compared with the ground truth of this capture.";
-  const of = (tone, words) => ({ tone, figure, words, note, views, isTruth: true });
-  if (gain < LIMITS.worse) return of("worse", "worse than brightening alone");
-  if (gain >= LIMITS.large) return of("good", "better than brightening alone: a large gain");
-  if (gain >= LIMITS.clear) return of("good", "better than brightening alone: a clear gain");
+  const found = { figure, note, views, of: compared.length, isTruth: true };
+  const judged = (tone, words) => ({ ...found, tone, words });
+  if (gain < LIMITS.worse) return judged("worse", "worse than brightening alone");
+  if (gain >= LIMITS.large) return judged("good", "better than brightening alone: a large gain");
+  if (gain >= LIMITS.clear) return judged("good", "better than brightening alone: a clear gain");
   const words = ["better than brightening alone: little gain", already(report, best)];
-  return of("little", words.filter(Boolean).join("; "));
+  return judged("little", words.filter(Boolean).join("; "));
 }
 
 function byAgreement(report, best) {
   const score = agreement(best) ?? recordIn(best, "render", false)?.psnr_cc_db;
   if (score === undefined) return null;
-  const views = best.views.filter(({ fit }) => Number.isFinite(fit) && fit < LIMITS.alike);
+  const compared = best.views.filter(({ fit }) => Number.isFinite(fit));
+  const views = compared.filter(({ fit }) => fit < LIMITS.alike);
   const isClose = score >= LIMITS.close || score >= best.noise_ceiling_db - LIMITS.limited;
   const [tone, words] = isClose ? ["good", "the scene matches the photographs closely"]
     : score >= LIMITS.fair ? ["little", "the scene matches the photographs roughly"]
       : ["worse", "the scene matches the photographs poorly"];
-  const why = already(report, best);
+  const why = tone === "little" && already(report, best);
   return {
     tone,
     figure: `${score.toFixed(1)} dB`,
     words: [words, why && `${why}, so there was little to gain`].filter(Boolean).join("; "),
     note: "Without ground truth this measures agreement with the photographs, not quality.",
     views: views.map(({ name }) => name),
+    of: compared.length,
     isTruth: false,
   };
 }
@@ -117,7 +121,9 @@ const shakenIn = ({ shaken_views: shaken }) => shaken ?? undefined;
 export function found(report) {
   const best = delivered(report);
   if (!best) return [];
-  return [placed(report), shake(report, best), exposures(report), light(best)].filter(Boolean);
+  // The last round has the target brightness; the delivered one may be darker.
+  const dark = light(report.rounds.at(-1));
+  return [placed(report), shake(report, best), exposures(report), dark].filter(Boolean);
 }
 
 function placed({ registered, views }) {
@@ -129,7 +135,7 @@ function shake(report, best) {
   if (shaken === undefined) return "";
   if (shaken === 0) return "no photograph is shaken";
   const most = Math.max(0, ...best.views.filter((view) => view.is_shaken).map((view) => view.shake_px));
-  const far = most >= 1 ? `, up to ${most.toFixed(0)} px` : "";
+  const far = most >= 1 ? `, by up to ${most.toFixed(0)} px` : "";
   return `${shaken} of ${count(report.registered, "photograph")} ${shaken === 1 ? "is" : "are"} shaken${far}`;
 }
 
@@ -154,21 +160,28 @@ export function done(report) {
   if (!best) return [];
   const { enhanced, render } = best.noise_sigma;
   const weaker = enhanced / render;
+  // A blurred scene has little noise, too.
+  const isMerit = verdict(report)?.tone !== "worse" && Number.isFinite(weaker);
   return [
     best.anchor?.ev > LIMITS.visible && `brightened by ${stops(best.anchor.ev)}`,
     spread(report) >= LIMITS.visible &&
-      (report.exposure.share > 0 ? "exposures evened" : "exposures left as taken"),
+      (report.exposure.share > 0 ? "exposures evened out" : "exposures left as taken"),
     best.kernels > 0 && `the shake of ${count(best.kernels, "photograph")} corrected`,
-    // A blurred scene has little noise, too.
-    verdict(report)?.tone !== "worse" && weaker >= LIMITS.weaker && `noise ${weaker.toFixed(weaker < 10 ? 1 : 0)} times weaker`,
+    isMerit && weaker >= LIMITS.weaker &&
+      `noise reduced ${weaker.toFixed(weaker < 10 ? 1 : 0)} times`,
   ].filter(Boolean);
 }
 
-/** Names of the views with the best, a typical and the poorest score. */
+/**
+ * Names of the views with the best, a typical and the poorest gain, or score if none has ground
+ * truth: gains and scores do not compare.
+ */
 export function notable(report) {
-  const scored = (delivered(report) ?? report.rounds.at(-1))?.views
-    ?.map((view) => ({ name: view.name, score: gained(view) ?? view.psnr_cc_db }))
-    .filter(({ score }) => Number.isFinite(score)) ?? [];
+  const views = (delivered(report) ?? report.rounds.at(-1))?.views ?? [];
+  const isTruth = views.some((view) => gained(view) !== undefined);
+  const scored = views
+    .map((view) => ({ name: view.name, score: isTruth ? gained(view) : view.psnr_cc_db }))
+    .filter(({ score }) => Number.isFinite(score));
   if (scored.length === 0) return null;
   const sorted = scored.toSorted((a, b) => a.score - b.score);
   const middle = sorted[Math.floor(sorted.length / 2)].score;
