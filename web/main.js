@@ -181,12 +181,15 @@ async function alive() {
 
 async function health() {
   try {
-    const { checks } = await readiness();
+    const { checks, ready } = await readiness();
     isThere = true;
     const missing = checks.filter((check) => !check.ok);
     place.classList.toggle("bad", missing.length > 0);
-    place.title = missing.map((check) => `${check.name}: ${check.detail} ${check.hint ?? ""}`).join("\n");
-    place.textContent = missing.length === 0 ? "Ready" : `Not ready: ${missing.map((check) => check.name).join(", ")}`;
+    place.title = missing.map((check) => `${check.name}: ${check.detail} ${check.hint ?? ""}`).join("\n").replaceAll("`", "");
+    const names = missing.map((check) => check.name).join(", ");
+    // A server without a worker is ready: it accepts jobs, which wait.
+    if (missing.length === 0) place.textContent = "Ready";
+    else place.textContent = ready ? "No worker" : `Not ready: ${names}`;
   } catch {
     gone();
   }

@@ -55,7 +55,7 @@ export class Browser {
     const page = await context.newPage();
     const faults = watch(page, this.base);
     if (process.env.WEB) await fromTree(page, this.base, process.env.WEB);
-    if (this.isReady) await page.route("**/readyz", (route) => route.fulfill({ json: { checks: [] } }));
+    if (this.isReady) await page.route("**/readyz", (route) => route.fulfill({ json: { ready: true, checks: [] } }));
     try {
       await page.goto(`${this.base}/${hash}`);
       await judge(page, faults);

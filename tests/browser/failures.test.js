@@ -88,9 +88,17 @@ test("a refused upload names each file once, and its files can be discarded", ()
     const alert = page.locator("form > .problem");
     await seen(alert, "0 of 1 photographs can be used");
     assert.equal((await alert.innerText()).split("notes.jpg").length, 2, await alert.innerText());
+    const left = page.locator(".leftover");
+    await seen(left, "The server still has 1 file of an upload that it refused.");
+    let allow;
+    const allowed = new Promise((resolve) => { allow = resolve; });
+    await page.route("**/v1/jobs", async (route) => { await allowed; await route.continue(); });
+    await button(page, "Start").click();
+    await until("what is being sent cannot be discarded", async () => (await left.count()) === 0);
+    allow();
+    await seen(left, "The server still has 1 file of an upload that it refused.");
     provoked(faults, 422);
     await page.reload();
-    const left = page.locator(".leftover");
     await seen(left, "The server still has 1 file of an upload that it refused.");
     assert.equal(await page.getByText("An interrupted upload").count(), 0);
     const deleted = page.waitForResponse((answer) => answer.request().method() === "DELETE");

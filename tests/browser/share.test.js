@@ -59,6 +59,7 @@ test("another page shows only the scene in a frame", async () => {
     await frame.getByRole("button", { name: "Walk through the scene" }).click();
     await frame.locator(".frame[aria-busy=false]").waitFor();
     await until("the scene is drawn", async () => (await drawn(frame.locator(".frame canvas").first())) > 0.05);
+    await frame.getByRole("button", { name: "Reset to the first view" }).waitFor();
     await picture(page, "embedded");
     await page.goto(`${address}/page`);
     assert.equal(await page.frameLocator("iframe").getByRole("banner").count(), 0, "the page itself is not framed");

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { Stand, part, seen } from "./played.js";
+import { Stand, both, part, seen } from "./played.js";
 
 const LACK = "This server runs no jobs. Start it again with --workers 1 or more.";
 
@@ -14,6 +14,19 @@ before(async () => {
 });
 
 after(() => stand?.stop());
+
+both("the header says that there is no worker, and what to start", async (width) =>
+  stand.visit("unstaffed-header", "#/api", async (page) => {
+    const body = await (await fetch(`${stand.server.base}/readyz`)).json();
+    const lacks = body.checks.filter((check) => check.name === "workers");
+    const health = page.locator("#health");
+    for (const [ready, words] of [[true, "No worker"], [false, "Not ready: workers"]]) {
+      await page.route("**/readyz", (route) => route.fulfill({ json: { ready, checks: lacks } }));
+      await page.reload();
+      await seen(health, words);
+      assert.match(await health.getAttribute("title"), /^workers: [^`]+$/);
+    }
+  }, width));
 
 test("a job without a worker says so on its page, in the list and among waiting jobs", async () => {
   const id = await stand.job("ok");

@@ -53,7 +53,7 @@ export function jobPage(main, who, id) {
   // The important parts come first, because on a phone the rest is far below.
   const bar = contents(main, { training: training.root, views: views.root, scene: scene.root, scores: scores.root, metrics, files, export: exported,
     ...(novel && { novel: novel.root }), videos: filmed.root, photographs: unused, time: times, details: facts,
-    ...(share && { share: share.root }), ...(log && { log: log.root }) });
+    request, ...(share && { share: share.root }), ...(log && { log: log.root }) });
   main.append(head.root, bar.root, problem, training.root, views.root, warnings, scene.root, scores.root, metrics, files,
     exported, ...(novel ? [novel.root] : []), filmed.root, unused, h("div", { class: "columns" }, times, facts),
     request, ...[share, log].filter(Boolean).map((part) => part.root));

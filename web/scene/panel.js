@@ -75,8 +75,9 @@ export function scenePanel(job, headers = {}) {
       if (root.hidden) return;
       const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
       const middle = cameras[Math.floor(cameras.length / 2)];
-      const start = (cameras.find((camera) => camera.name === place) ?? middle).name;
-      facts = { name, scenes, first, start };
+      const known = cameras.find((camera) => camera.name === place);
+      const start = (known ?? middle).name;
+      facts = { name, scenes, first, start, isBest: known !== undefined };
       if (!isOpening) invite();
       bytes.textContent = size(first.bytes);
       const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;

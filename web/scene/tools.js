@@ -5,10 +5,10 @@ import { h } from "../lib/dom.js";
 /**
  * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` (null if unsupported),
  * `lens(degrees)` with null for the camera's own, `round(scene)`, `picture`, `close`; `stage` is
- * the element for full screen. Returns `{ root, at(index), isOn(), ev(), lens(degrees), speed(),
- * scenes(list, current), say(words) }`.
+ * the element for full screen. `isBest` says whether `reset` goes to the best view. Returns
+ * `{ root, at(index), isOn(), ev(), lens(degrees), speed(), scenes(list, current), say(words) }`.
  */
-export function sceneTools(cameras, stage, does) {
+export function sceneTools(cameras, stage, isBest, does) {
   const press = (text, onclick, label = text) =>
     h("button", { type: "button", "aria-label": label, title: label, onclick }, text);
   const jump = () => does.jump(Number(choice.value));
@@ -37,7 +37,8 @@ export function sceneTools(cameras, stage, does) {
     h("div", { class: "row tools" },
       h("div", { class: "row joint" }, press("‹", step(-1), "Previous photograph"), choice,
         press("›", step(1), "Next photograph")),
-      press("Best view", does.reset, "Back to the best view"),
+      isBest ? press("Best view", does.reset, "Back to the best view")
+        : press("Reset", does.reset, "Reset to the first view"),
       h("label", { class: "check" }, lines, "Cameras"), exposure.root,
       lens.root, speed.root, rounds.root,
       h("div", { class: "row push ends" }, picture, full,

@@ -42,12 +42,13 @@ const LOST = "The graphics adapter dropped the picture, as can happen when it is
 /**
  * Opens the scene of a job in `place`. `name` is the job's, `scenes` are
  * `{ round, url, isDelivered }`, `first` is the initial one and `start` the name of the initial
- * camera. `headers` go with each request. `ended(words)` is called when the view closes, with the
- * reason if it closes by itself. Throws a `SceneError` if the browser cannot draw it.
+ * camera, whose view has the best score if `isBest`. `headers` go with each request.
+ * `ended(words)` is called when the view closes, with the reason if it closes by itself. Throws a
+ * `SceneError` if the browser cannot draw it.
  */
-export async function openScene(place, { job, headers, name, scenes, first, start, ended }) {
+export async function openScene(place, { job, headers, name, scenes, first, start, isBest, ended }) {
   const cameras = await api(`v1/jobs/${job}/artifacts/cameras.json`, { headers });
-  const view = new View({ job, headers, name }, cameras, scenes, ended);
+  const view = new View({ job, headers, name, isBest }, cameras, scenes, ended);
   place.replaceChildren(view.stage);
   // The canvas, its tools and its hint fit the window; they shall all be in it.
   view.stage.scrollIntoView({ block: "nearest" });
@@ -99,7 +100,7 @@ class View {
       "aria-label": "Scene in 3D: arrow keys look around, W A S D walk, Q and E move down and up",
     }, this.canvas, this.lines, this.veil, this.thumb);
     this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
-    this.tools = sceneTools(cameras, this.stage, {
+    this.tools = sceneTools(cameras, this.stage, of.isBest, {
       jump: (index) => this.jump(index),
       reset: () => this.jump(this.start),
       lines: () => this.wake(),

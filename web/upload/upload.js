@@ -41,7 +41,8 @@ export function startForm() {
       input.value = "";
     });
   }
-  drop.append(...leftovers());
+  const left = h("div", {}, leftovers());
+  drop.append(left);
   let [run, gone, isCancelled] = [null, false, false];
   const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
 
@@ -54,6 +55,8 @@ export function startForm() {
     if (!options.check() || isEmpty) return;
     button.disabled = true;
     isCancelled = false;
+    // These may be the uploads that are being sent.
+    left.replaceChildren();
     try {
       const changed = options.chosen();
       const fields = { preset: options.preset.value, options: changed };
@@ -67,6 +70,7 @@ export function startForm() {
       if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (gone) return;
+      left.replaceChildren(...leftovers());
       status.textContent = isCancelled ? "Upload cancelled. Start continues where it stopped." : "";
       if (!isCancelled && !options.fault(error)) problem.textContent = error.message;
     }
