@@ -29,7 +29,7 @@ async function shown(name) {
       texts[language] = await section.locator(`pre[aria-label=${language}]`).textContent();
     }
     await button(section, "Copy curl").click();
-    await section.getByText(/Copied|Press Ctrl\+C/).waitFor();
+    await section.getByText(/Copied|Selected: copy it/).waitFor();
   });
   return { texts, job: await stand.server.job(id) };
 }

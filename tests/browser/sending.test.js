@@ -148,6 +148,6 @@ test("pieces shrink until a proxy lets them pass", () =>
 
 test("a proxy that refuses the smallest pieces is named", () =>
   throughProxy("sending-refused", 100_000, async (page, refused) => {
-    await seen(page.getByRole("alert"), "A proxy before the server refuses even pieces of 512 KiB");
+    await seen(page.getByRole("alert"), "A proxy in front of the server refuses even pieces of 512 KiB");
     assert.equal(refused.at(-1), 512 << 10);
   }));

@@ -49,7 +49,7 @@ function copy(language, text) {
     } catch {
       // Without TLS a page may not use the clipboard; a selection can be copied by hand.
       getSelection().selectAllChildren(button.previousElementSibling);
-      button.textContent = "Press Ctrl+C";
+      button.textContent = "Selected: copy it";
     }
   }
   return button;

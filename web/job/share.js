@@ -55,7 +55,7 @@ export function shares(job) {
         copy.textContent = "Copied";
       } catch {
         // Without TLS a page may not use the clipboard; a selection can be copied by hand.
-        copy.textContent = "Press Ctrl+C";
+        copy.textContent = "Selected: copy it";
       }
     }
     return h("p", { class: "row" }, address, copy);

@@ -65,7 +65,7 @@ function attempt({ attempts, state, started_at: first }) {
   if (attempts < 2) return "";
   if (state !== "running" || !first) return `attempt ${attempts}`;
   const since = stopwatch((serverNow() - Date.parse(first)) / 1000);
-  return `attempt ${attempts}, whose progress the bar shows; ${since} since the first began`;
+  return `attempt ${attempts} (the bar shows its progress); ${since} since the first attempt began`;
 }
 
 /**

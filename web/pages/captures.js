@@ -64,7 +64,7 @@ function cells(capture, jobs) {
 /** The size of its photographs, if they all have the same. */
 function sizes({ images }) {
   const all = new Set(images.filter(({ accepted }) => accepted).map(({ width, height }) => `${width} × ${height}`));
-  return all.size > 1 ? "different" : [...all].join("");
+  return all.size > 1 ? "mixed" : [...all].join("");
 }
 
 function named(jobs) {

@@ -5,7 +5,7 @@ import { api, count, h } from "../lib/dom.js";
 
 const WORDS = {
   interrupted: (files) => `An interrupted upload left ${files} on the server, complete or in part. Choose the same files again to continue where it stopped.`,
-  refused: (files) => `The server still has ${files} of an upload that it refused. Choose them again without the ones at fault, or with more photographs; they are not sent twice.`,
+  refused: (files) => `The server still has ${files} of an upload that it refused. Choose the same files again without those at fault, or with more photographs; nothing is sent twice.`,
 };
 
 /** A line for each kind of leftover. */

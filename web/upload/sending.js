@@ -98,7 +98,7 @@ export function sending(files, report) {
   function shrinks(fault, length) {
     if (fault?.status !== 413 || fault.detail !== undefined) return false;
     if (length <= LEAST) {
-      throw new Error(`A proxy before the server refuses even pieces of ${Math.ceil(length / 1024)} KiB.\nIts administrator can allow larger request bodies.`);
+      throw new Error(`A proxy in front of the server refuses even pieces of ${Math.ceil(length / 1024)} KiB.\nIts administrator can allow larger request bodies.`);
     }
     most = Math.min(most, Math.max(LEAST, Math.floor(length / 2)));
     return true;
