@@ -25,7 +25,8 @@ use super::decode::{ImageError, MAX_PIXELS};
 use super::resize::at_most;
 use super::{Image, Linear, Shot, exif};
 
-/// Maximum file size, bytes: it is read whole, several times. 100 megapixels of 16 bits take 200 MiB.
+/// Maximum file size, bytes: it is read whole, several times. 100 megapixels of 16 bits take
+/// 200 MiB.
 pub(super) const LONGEST: u64 = 256 << 20;
 
 /// Characters of a camera's name, and of a decoder's message, that are kept of a file's text.
