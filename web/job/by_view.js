@@ -57,11 +57,13 @@ export function byView(open) {
     });
     list.classList.add("views");
     list.setAttribute("aria-label", "Scores by view");
+    // Between a phone, where rows are cards, and a desk it is wider than the page.
+    const framed = h("div", { class: "scroll", tabIndex: 0, role: "region", "aria-label": "Table of scores" }, list);
     const isWorst = !isFalling && SCORES.includes(column.title);
     hint.textContent = `${isWorst ? "Worst first. " : ""}Choose a photograph to see it before and after.`;
     sorts.value = by;
     const held = root.contains(document.activeElement) && document.activeElement.getAttribute("data-key");
-    show(root, Object.assign(h("div", {}, h("label", { class: "sorts" }, "Sort by", sorts), hint, list), { gist: gist() }));
+    show(root, Object.assign(h("div", {}, h("label", { class: "sorts" }, "Sort by", sorts), hint, framed), { gist: gist() }));
     if (held) [...root.querySelectorAll("[data-key]")].find((one) => one.dataset.key === held)?.focus();
   }
 
