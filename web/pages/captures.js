@@ -15,12 +15,12 @@ const AGAIN_MS = 3000;
 
 export function capturesPage(main) {
   const list = table(COLUMNS, []);
-  list.hidden = true;
+  const framed = h("div", { class: "scroll", tabIndex: 0, role: "region", "aria-label": "Table of captures", hidden: true }, list);
   const empty = h("p", { class: "hint", hidden: true }, "No captures yet. ", h("a", { href: "#/" }, "Start a job"), " to upload photographs.");
   const more = h("button", { type: "button", hidden: true }, "Show older captures");
   const problem = h("p", { class: "problem", role: "alert" });
   main.append(h("section", {}, h("h1", {}, "Captures"), h("p", { class: "hint" }, "Sets of photographs that you uploaded. You can run each of them again with other options."),
-    list, empty, more, problem));
+    framed, empty, more, problem));
   document.title = "Captures · fled";
   let [limit, gone, timer] = [50, false, 0];
   more.addEventListener("click", () => { limit = Math.min(limit + 50, MOST); refresh(); });
@@ -35,13 +35,13 @@ export function capturesPage(main) {
       if (gone) return;
       refill(list.tBodies[0], page.captures.map((capture) =>
         row(COLUMNS, cells(capture, jobs.filter((job) => job.capture_id === capture.id)))));
-      list.hidden = page.captures.length === 0;
+      framed.hidden = page.captures.length === 0;
       empty.hidden = page.captures.length > 0;
       more.hidden = !page.next_cursor || limit >= MOST;
       problem.textContent = "";
     } catch (error) {
       if (gone) return;
-      problem.textContent = `${error.message} ${list.hidden ? "Captures appear when it responds." : ""}`;
+      problem.textContent = `${error.message} ${framed.hidden ? "Captures appear when it responds." : ""}`;
       timer = setTimeout(refresh, AGAIN_MS);
     }
   }
