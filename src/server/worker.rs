@@ -297,11 +297,12 @@ mod tests {
             (error.detail.as_str(), wait),
             ("continued after a restart of the server", Some(0))
         );
-        for deaths in [1, 5] {
+        // While it is tried again, another process may have been the one.
+        for (deaths, code) in [(1, "internal"), (5, "oom_host")] {
             let (error, _) = of(deaths, false);
             assert!(!format!("{error:?}").to_lowercase().contains("memory"), "{error:?}");
             let (error, _) = of(deaths, true);
-            assert_eq!(error.code, "oom_host");
+            assert_eq!(error.code, code);
             assert!(error.hint.contains("smaller `size`"), "{error:?}");
         }
         assert_eq!(of(5, true).1, None);
