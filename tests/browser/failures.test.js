@@ -48,7 +48,9 @@ both("another failure offers to try again first", async (width) =>
 
 /** The colour of a PNG at a tenth of its width. */
 const painted = (page, png) => page.evaluate(async (text) => {
-  const image = await createImageBitmap(await (await fetch(`data:image/png;base64,${text}`)).blob());
+  // The page's policy lets no script fetch an address of data.
+  const bytes = Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
+  const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
   const context = new OffscreenCanvas(image.width, image.height).getContext("2d");
   context.drawImage(image, 0, 0);
   return context.getImageData(image.width / 10, image.height / 2, 1, 1).data.join();
