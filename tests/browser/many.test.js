@@ -63,7 +63,7 @@ test("a worker joins, takes the job waiting for it and dies, and the job moves t
     const weak = work("weak");
     await seen(row("weak"), "waiting for a job");
     await waiting.getByRole("link", { name: "a big one" }).click();
-    await seen(page.locator("main"), `Waiting for ${NEEDS}.`);
+    await seen(page.locator("main"), "No connected worker has a GPU and 12 GiB of memory. Start fled worker");
     await page.getByRole("link", { name: "View workers" }).click();
     const small = await submit("a small one", "preview");
     await seen(row("weak"), "a small one");
