@@ -189,8 +189,10 @@ both("the comparison comes before the scene, at the pictures' size, with a typic
       assert.equal(await button(views, name).getAttribute("aria-pressed"), "true");
     }
     // A wide picture is as wide as it is, or as its place.
-    await images.first().evaluate((image) => {
-      const url = Object.assign(document.createElement("canvas"), { width: 1000, height: 500 }).toDataURL();
+    await images.first().evaluate(async (image) => {
+      const wide = new OffscreenCanvas(1000, 500);
+      wide.getContext("2d");
+      const url = URL.createObjectURL(await wide.convertToBlob());
       for (const one of image.closest(".compare").querySelectorAll("img")) one.src = url;
     });
     const place = await images.first().evaluate((image) => image.closest("section").querySelector(".tools").clientWidth);
