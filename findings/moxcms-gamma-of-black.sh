@@ -10,7 +10,7 @@
 #   gamma 1.8: black is -165330910 by a curve of one entry, 0 by a parametric one
 #   gamma 2.0: black is -4 by a curve of one entry, 0 by a parametric one
 #   gamma 2.2: black is -0.0000000967756 by a curve of one entry, 0 by a parametric one
-#   ProPhoto's black is -165330910 by its curve
+#   ProPhoto's black is -165330910 by its curve, [0.0, 0.0, 0.0] by a transform to sRGB
 set -euo pipefail
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
@@ -18,7 +18,7 @@ cd "$folder"
 cargo init --quiet --name check --vcs none
 cargo add --quiet moxcms@=0.8.1
 cat >src/main.rs <<'RUST'
-use moxcms::{ColorProfile, ToneReprCurve, curve_from_gamma};
+use moxcms::{ColorProfile, Layout, ToneReprCurve, TransformOptions, curve_from_gamma};
 
 fn black(curve: &ToneReprCurve) -> f32 {
     curve.make_linear_evaluator().unwrap().evaluate_value(0.0)
@@ -34,8 +34,14 @@ fn main() {
     }
     let profile = ColorProfile::new_pro_photo_rgb();
     let of_profile = black(profile.red_trc.as_ref().unwrap());
-    println!("ProPhoto's black is {of_profile} by its curve");
+    let srgb = ColorProfile::new_srgb();
+    let transform =
+        profile.create_transform_f32(Layout::Rgb, &srgb, Layout::Rgb, TransformOptions::default()).unwrap();
+    let mut converted = [9.0_f32; 3];
+    transform.transform(&[0.0; 3], &mut converted).unwrap();
+    println!("ProPhoto's black is {of_profile} by its curve, {converted:?} by a transform to sRGB");
     assert!(of_profile < -1.0, "ProPhoto's black has changed");
+    assert_eq!(converted, [0.0; 3], "the transform's black has changed");
 }
 RUST
 cargo run --quiet

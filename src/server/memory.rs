@@ -16,7 +16,7 @@ pub fn kills() -> Option<u64> {
     events.and_then(|text| number(&text)).or_else(kills_of_machine)
 }
 
-/// The same for the whole machine since its start: a new control group begins to count anew.
+/// The same count for the whole machine since it booted; a new control group starts at zero.
 fn kills_of_machine() -> Option<u64> {
     number(&fs::read_to_string("/proc/vmstat").ok()?)
 }

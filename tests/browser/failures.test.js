@@ -1,4 +1,4 @@
-// What a failed job and a refused upload say, and what they offer.
+// The messages and actions of failed jobs and refused uploads.
 
 import assert from "node:assert/strict";
 import { writeFileSync } from "node:fs";

@@ -43,7 +43,7 @@ both("jobs are cards with their scene, verdict and time", async (width) =>
     await seen(page.getByRole("heading", { level: 1 }), FINISHED);
   }, width));
 
-/** The list, of which the server says what `change(job)` makes of each job. */
+/** The list of jobs, with each job that the server sends replaced by `change(job)`. */
 const altered = (name, change, judge) => stand.visit(name, "#/captures", async (page) => {
   await page.route("**/v1/jobs?*", async (route) => {
     const body = await (await route.fetch()).json();

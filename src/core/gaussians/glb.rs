@@ -110,7 +110,7 @@ pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     out.flush()
 }
 
-/// What the extension stores for each Gaussian, all of it in multiples of four bytes.
+/// The attributes of a Gaussian in the extension, each a multiple of four bytes.
 fn attributes(scene: &Gaussians, coefficients: usize) -> Vec<Attribute<'_>> {
     let sh = move |index: usize, coefficient: usize| {
         let at = 3 * (index * coefficients + coefficient);

@@ -1,4 +1,4 @@
-//! The meaning of a picture's values: from its colour profile to linear light of sRGB primaries.
+//! Colour spaces: from a picture's values to linear light of sRGB primaries.
 //!
 //! A picture without a profile is sRGB. A profile of curves and primaries (ICC "matrix/TRC", or
 //! code points of ITU-T H.273, or PNG's `gAMA` and `cHRM`) is converted without clipping: colours
@@ -32,7 +32,7 @@ const USUAL_GAMMAS: [f32; 2] = [0.454_55, 0.509_94];
 /// Light of a value in 0..=1 that a plausible curve gives.
 const PLAUSIBLE_LIGHT: std::ops::RangeInclusive<f32> = -1.0..=2.0;
 
-/// What the values of a picture mean.
+/// The colour space of a picture's values.
 pub(super) struct Colour {
     /// The profile's own name, unless the values are sRGB.
     name: Option<String>,
@@ -141,7 +141,7 @@ impl Colour {
     }
 
     /// Code points of ITU-T H.273: primaries and transfer function. The curves of video are sRGB's
-    /// here, as every player shows them. `None` if they say nothing.
+    /// here, as every player shows them. `None` for primaries that are not supported.
     pub(super) fn of_code_points(primaries: u8, transfer: u8) -> Option<Self> {
         let curve = || match transfer {
             4 => Curve::Power(2.2),

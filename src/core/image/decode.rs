@@ -248,7 +248,7 @@ struct Opened {
 }
 
 impl Opened {
-    /// For masks and alpha, which raw files have not.
+    /// Opens a mask, or a photograph for its alpha; raw files serve as neither.
     fn open(path: &Path) -> Result<Self, ImageError> {
         match Source::open(path)? {
             Source::Picture(opened) => Ok(*opened),

@@ -1,8 +1,8 @@
 //! Camera raw files: from the sensor's samples to linear light of sRGB primaries.
 //!
 //! `flashraw` unpacks the samples and knows the cameras. The light is computed here, because its
-//! own conversions clip at black: noise below black is as large as above it, and the mean of many
-//! photographs, or of many pixels, needs both. In order: black and white level; the second opcode
+//! own conversions clip at black: noise scatters to both sides of black, and a mean over pixels or
+//! photographs is right only with both. In order: black and white level; the second opcode
 //! list of DNG (lens shading); white balance; highlights that a channel clips are neutral; area
 //! average of each colour of the mosaic; the camera's matrix. Brightening hints (BaselineExposure,
 //! tone curves, ProfileGainTableMap) are not applied: they differ from photograph to photograph.

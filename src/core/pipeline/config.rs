@@ -509,7 +509,7 @@ fn within(key: &str, value: u32) -> Result<(), OptionsError> {
     }
 }
 
-/// What a number must be, in the option's own range; `None` for other options.
+/// The range that a numeric option allows, in words; `None` for other options.
 fn wanted(key: &str) -> Option<String> {
     let (low, high) = range(key)?;
     let or_auto = if key == "sh_degree" { "" } else { ", or `auto`" };

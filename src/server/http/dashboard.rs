@@ -137,7 +137,10 @@ pub async fn missing(uri: Uri, headers: HeaderMap) -> Response {
     let is_shown = accepted.is_some_and(|kinds| kinds.contains("text/html"));
     let Some(page) = ASSETS.get("missing.html").filter(|_| is_shown) else {
         return Problem::not_found("page")
-            .hint("`openapi.yaml` beside the dashboard lists every address. A proxy that serves this server below a path must remove that path.")
+            .hint(
+                "`openapi.yaml` beside the dashboard lists every address. A proxy that serves this \
+                 server below a path must remove that path.",
+            )
             .into_response();
     };
     let top = top(uri.path());

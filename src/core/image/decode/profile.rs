@@ -1,4 +1,4 @@
-//! Where each format says what its colours are.
+//! The colour declarations of each format.
 
 use std::io::{BufRead, Read, Seek};
 
@@ -13,12 +13,12 @@ use crate::image::hdr::HdrTransfer;
 /// Largest ICC profile of a TIFF, bytes; those of printers have half a mebibyte.
 const LARGEST_PROFILE: usize = 4 << 20;
 
-/// What a container declares of its colours that its decoder does not know of.
+/// A colour declaration of a container that its decoder does not report.
 pub(super) enum Declared {
     Colour(Colour),
     /// An ICC profile.
     Icc(Vec<u8>),
-    /// What is not read; the values are taken for sRGB's.
+    /// One that is not supported, with the reason; the values are taken as sRGB.
     Unread(String),
 }
 

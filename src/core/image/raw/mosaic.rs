@@ -30,10 +30,10 @@ struct Reach {
 }
 
 impl Mosaic<'_> {
-    /// The picture at another size: each pixel and colour is the mean of that colour's samples. A
-    /// sample stands for the area around it that is nearer to it than half the distance of its
-    /// colour's neighbours: a bilinear interpolation at full size, an exact area average at small
-    /// sizes, centred for all colours.
+    /// The picture at another size: each channel of a pixel is the weighted mean of the samples of
+    /// its colour. A sample covers a square centred on it, as wide as the period of its colour; its
+    /// weight is the part of that square inside the pixel. At full size this is bilinear
+    /// interpolation, at small sizes an area average, and no colour is shifted against another.
     ///
     /// Samples are multiplied by the white balance, and cut at white, which makes clipped lights
     /// neutral. Nothing is cut at black.
