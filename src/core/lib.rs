@@ -10,11 +10,7 @@
 
 #[cfg(test)]
 mod agreement;
-pub mod camera;
-pub mod cancel;
-pub mod capture;
 pub mod colmap;
-pub mod dataset;
 pub mod deblur;
 pub mod device;
 pub mod enhance;
@@ -22,18 +18,12 @@ pub mod event;
 pub mod export;
 pub mod exposure;
 pub mod features;
-mod ffmpeg;
 pub mod gaussians;
-mod group;
-pub mod image;
+pub mod given_poses;
 pub mod inference;
-mod linear;
-pub mod mask;
 pub mod metrics;
 pub mod noise;
-pub mod photo_path;
 pub mod pipeline;
-pub mod plain;
 pub mod poses;
 mod random;
 pub mod reading;
@@ -45,3 +35,6 @@ pub mod shake;
 pub mod splat;
 pub mod synthetic;
 pub mod video;
+
+pub use fled_capture::{camera, cancel, capture, dataset, image, mask, photo_path, plain};
+use fled_capture::{ffmpeg, group, linear};

@@ -2,21 +2,14 @@
 //! capture.
 
 pub mod align;
-pub mod bounds;
-pub mod left_out;
-pub mod lens;
 pub mod matching;
-pub mod model;
-pub(crate) mod npy;
 mod picture;
 pub mod pnp;
-mod rigid;
-pub(crate) mod text;
-pub mod turn;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+pub use fled_capture::poses::*;
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
@@ -25,13 +18,8 @@ use crate::camera::normalisation::Normalisation;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::capture::PreparedImage;
 use crate::event::ProgressSink;
-use crate::image::Image;
-use crate::mask::Masking;
 use crate::photo_path::PhotoPath;
-pub use left_out::LeftOut;
-pub use lens::{Distortion, Lens};
 pub use picture::svg;
-pub(crate) use rigid::{Rotation, rotation};
 
 /// Finds the viewpoints of photographs. Two implementations: COLMAP as a subprocess, and poses
 /// supplied with the capture.
@@ -69,16 +57,14 @@ pub struct PoseView {
     pub name: String,
     /// The owner's path of the photograph.
     pub path: PhotoPath,
-    /// The original photograph, read only for its header.
-    pub file: PathBuf,
-    /// The image that is read instead.
+    /// Its image.
     pub prepared: PreparedImage,
     /// Size of the upright original, px.
     pub original: (usize, usize),
     /// Focal length in px of the original photograph, if in its metadata.
     pub focal_px: Option<f64>,
-    /// Its mask.
-    pub masking: Option<Masking>,
+    /// How much each of its pixels counts, 0 to 1, if it has masks.
+    pub mask: Option<PreparedImage>,
 }
 
 /// The result. As JSON it is the stage's stored result.
@@ -223,38 +209,6 @@ pub enum PoseStatus {
     TakenOut,
 }
 
-/// A view with its pose.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct PosedView {
-    /// The view's name.
-    pub name: String,
-    /// The pinhole camera of the *undistorted* photograph, at the original photograph's size.
-    pub camera: Camera,
-    /// The lens of the photograph as taken.
-    pub lens: Lens,
-}
-
-impl PosedView {
-    /// The photograph (or its ground truth), at any size of the same aspect, as [`Self::camera`]
-    /// sees it. Size and encoding stay; without distortion it is a plain copy.
-    pub fn undistort<E>(&self, image: &Image<E>) -> Image<E> {
-        lens::undistort(image, &self.lens, &self.camera.intrinsics)
-    }
-}
-
-/// A triangulated point, or a guessed one if poses came without points.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct SparsePoint {
-    /// World units.
-    pub position: [f64; 3],
-    /// sRGB, at the brightness of the pose copies.
-    pub colour: [u8; 3],
-    /// Mean reprojection error, px of the pose copies; 0 where unknown.
-    pub error: f64,
-    /// Number of views that see it; 0 for a guessed point.
-    pub track: u32,
-}
-
 /// Why there are no poses.
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
@@ -334,15 +288,12 @@ pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
     )
 }
 
-/// A file's name for messages, without its path: the owner knows it, and a client of the service
-/// need not see our storage path. One of several models is identified by its number in a folder.
-pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
-    let name = |path: &'_ Path| path.file_name().unwrap_or(path.as_os_str()).to_owned();
-    let own = name(file).to_string_lossy().into_owned();
-    let is_number = own.bytes().all(|byte| byte.is_ascii_digit());
-    match file.parent().filter(|_| is_number) {
-        Some(folder) => format!("{}/{own}", name(folder).to_string_lossy()).into(),
-        None => own.into(),
+impl From<PoseFileError> for PosesError {
+    fn from(error: PoseFileError) -> Self {
+        match error {
+            PoseFileError::BadFile { file, reason } => Self::BadFile { file, reason },
+            PoseFileError::Io { path, source } => Self::Io { path, source },
+        }
     }
 }
 

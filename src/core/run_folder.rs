@@ -19,23 +19,6 @@ pub use viewpoint::{PictureSize, Viewpoint, ViewpointError, view_named};
 /// Name of the folder for resumed runs only.
 const WORK: &str = "work";
 
-/// The top-level files of a run's folder, except ground truth: captures of photographs have that,
-/// too.
-const TOP: [&str; 12] = [
-    "scene.ply",
-    "cameras.json",
-    "metrics.json",
-    "config.json",
-    "poses.json",
-    "poses.svg",
-    "log.txt",
-    "inputs",
-    "restored",
-    "rounds",
-    "evaluation",
-    WORK,
-];
-
 /// The output folder of one run. Cheap to clone; holds a path only.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
@@ -141,11 +124,6 @@ impl RunFolder {
     /// The files for resumed runs only.
     pub fn work(&self) -> WorkFolder {
         WorkFolder { root: self.root.join(WORK) }
-    }
-
-    /// Whether a run writes a file with this name, relative to the folder and with `/`.
-    pub fn is_left(name: &str) -> bool {
-        name.split('/').next().is_some_and(|top| TOP.contains(&top))
     }
 
     /// Whether a file with this name, relative to the folder and with `/`, is part of the result:
@@ -334,6 +312,27 @@ impl WorkFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::{Inspection, Watch, is_of_a_run};
+    use crate::image::{Image, Srgb};
+    use crate::pipeline::config::Options;
+
+    #[test]
+    fn a_result_inside_a_capture_is_recognised_by_its_configuration() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let inputs = dir.path().join("out/inputs");
+        std::fs::create_dir_all(&inputs).expect("made");
+        let mut image: Image<Srgb> = Image::new(96, 64);
+        for (at, folder) in [dir.path(), dir.path(), dir.path(), &inputs].into_iter().enumerate() {
+            image.data_mut().iter_mut().zip(0..).for_each(|(value, i)| {
+                *value = f32::from((i * (at + 3) % 97) as u8) / 97.0;
+            });
+            image.save(&folder.join(format!("{at}.png"))).expect("written");
+        }
+        let options = serde_json::to_vec_pretty(&Options::default()).expect("JSON");
+        std::fs::write(dir.path().join("out/config.json"), options).expect("written");
+        let inspection = Inspection::of(dir.path(), dir.path(), &Watch::nobody());
+        assert_eq!(inspection.expect("a capture").photographs.len(), 3);
+    }
 
     #[test]
     fn files_have_the_published_paths() {
@@ -370,9 +369,9 @@ mod tests {
         for (path, expected) in paths {
             assert_eq!(path, Path::new(expected));
             let name = expected.strip_prefix("out/").expect("below the folder");
-            assert!(RunFolder::is_left(name) || name == "gt/a.jpg", "{name}");
+            assert!(is_of_a_run(name) || name == "gt/a.jpg", "{name}");
         }
-        assert!(!RunFolder::is_left("images/a.jpg") && !RunFolder::is_left("a.jpg"));
+        assert!(!is_of_a_run("images/a.jpg") && !is_of_a_run("a.jpg"));
     }
 
     #[test]

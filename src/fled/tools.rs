@@ -7,10 +7,10 @@ use std::sync::Arc;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::colmap::ColmapCli;
-use fled_core::dataset::GivenPoses;
 use fled_core::deblur::{self, Restorer};
 use fled_core::device::Device;
 use fled_core::features::{FeatureError, LearnedMatching, SearchOptions};
+use fled_core::given_poses::GivenSfm;
 use fled_core::inference::runtime;
 use fled_core::pipeline::config::{Guide, KeyPoints, Options, PoseSource};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
@@ -237,8 +237,7 @@ fn sfm(
             None => Box::new(colmap),
         }),
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
-            let mut sfm = GivenPoses::open(given.path(), &capture.photographs)
-                .map_err(PipelineError::from)?;
+            let mut sfm = GivenSfm::new(given).map_err(PipelineError::from)?;
             if let (PoseSource::Auto, Some(matching)) = (options.pose_source, matching) {
                 let colmap = colmap.clone().with_matching(matching);
                 sfm = sfm.refined_by(Box::new(move |request, given, sink, cancel| {

@@ -3,9 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::{self, CaptureError, CaptureWarning, Inspection, Watch};
-use fled_core::dataset::GivenPoses;
-use fled_core::poses::PosesError;
+use fled_core::capture::{self, CaptureError, CaptureWarning, Inspection, Placement, Watch};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -95,7 +93,7 @@ pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refus
             return Err(mixed());
         }
         let scratch = dir.join(".examined");
-        let opened = opened(&archive, &scratch, watch);
+        let opened = Inspection::of(&archive, &scratch, watch);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 let path = scratch;
@@ -104,11 +102,13 @@ pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refus
             _ => opened,
         }
     } else {
-        opened(dir, dir, watch)
+        Inspection::of(dir, dir, watch)
     };
-    let (inspection, poses) = opened.map_err(|error| refuse(dir, error))?;
-    if let Err(error) = poses {
-        return Err(bad_poses(&inspection, &error));
+    let inspection = opened.map_err(|error| refuse(dir, error))?;
+    if let Some(Placement::Unusable { file, reason }) =
+        inspection.poses.as_ref().map(|poses| &poses.placement)
+    {
+        return Err(bad_poses(&inspection, &format!("{file}: {reason}")));
     }
     Ok(CaptureReport {
         accepted: u32::try_from(inspection.accepted).unwrap_or(u32::MAX),
@@ -117,24 +117,9 @@ pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refus
     })
 }
 
-/// The inspected upload, and whether its given poses, if any, can be read.
-fn opened(
-    path: &Path,
-    scratch: &Path,
-    watch: &Watch<'_>,
-) -> Result<(Inspection, Result<(), PosesError>), CaptureError> {
-    let inspection = Inspection::of(path, scratch, watch)?;
-    let poses = match &inspection.poses {
-        None => Ok(()),
-        Some(given) => GivenPoses::open(given.path(), &inspection.photographs)
-            .and_then(|given| given.check().map(drop)),
-    };
-    Ok((inspection, poses))
-}
-
-fn bad_poses(inspection: &Inspection, error: &PosesError) -> Box<Refusal> {
+fn bad_poses(inspection: &Inspection, fault: &str) -> Box<Refusal> {
     Box::new(Refusal {
-        detail: without_paths(&format!("The poses cannot be read: {error}")),
+        detail: without_paths(&format!("The poses cannot be read: {fault}")),
         hint: "Fix the file, or leave it out: then fled finds the poses.".to_owned(),
         unsupported_format: false,
         is_ours: false,

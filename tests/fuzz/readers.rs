@@ -67,7 +67,7 @@ pub fn transforms(bytes: &[u8]) {
     let photographs = ["0.jpg", "1.jpg", "images/2.png"].map(PhotoPath::new);
     let given = GivenPoses::open(&written("transforms.json", bytes), &photographs);
     if let Ok(given) = given {
-        let _ = given.check();
+        let _ = given.count();
         let _ = given.names();
     }
 }

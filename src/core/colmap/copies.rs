@@ -190,15 +190,16 @@ impl Copy {
 
     /// Writes the copy; returns its mask.
     fn write(&self, dir: &Path, view: &PoseView, kind: Kind) -> Result<Option<Mask>, PosesError> {
-        let unreadable =
-            |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
+        let unreadable = |e: &dyn std::fmt::Display| {
+            PosesError::bad_file(Path::new(view.path.as_str()), e.to_string())
+        };
         let image = view.prepared.load().map_err(|e| unreadable(&e))?;
         let image = image.resize_area(self.size.0, self.size.1).to_srgb();
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
-        let masking = view.masking.as_ref();
-        let mask = masking.map(|masking| masking.load(self.size, Clone::clone)).transpose();
+        let mask = view.mask.as_ref().map(|mask| mask.load_mask(self.size, Clone::clone));
+        let mask = mask.transpose();
         let mask = mask.map_err(|e| unreadable(&e))?;
         let copy = if kind == Kind::Plain { image } else { brightened(&image, mask.as_ref()) };
         copy.save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))?;
@@ -210,27 +211,22 @@ impl Copy {
 mod tests {
     use super::*;
     use crate::capture::PreparedImage;
-    use crate::image::{Image, Linear, Srgb};
-    use crate::mask::{MaskPicture, Masking};
+    use crate::image::{Image, Linear};
     use crate::photo_path::PhotoPath;
 
     #[test]
     fn a_copy_has_its_planned_size_although_the_prepared_image_was_rounded_too() {
         let folder = tempfile::tempdir().expect("temporary folder");
-        let file = folder.path().join("a.png");
-        // An eighth of the photograph: only its proportions count.
-        Image::<Srgb>::new(434, 578).map(|_| 0.5).save(&file).expect("saved");
         let image = Image::<Linear>::new(1_538, 2_048).map(|_| 0.1);
         let prepared = PreparedImage::write(&image, folder.path().join("a.half"));
-        let pictures = vec![MaskPicture { file: file.clone(), white_hides: false }];
+        let mask = PreparedImage::write(&image.map(|_| 1.0), folder.path().join("mask.half"));
         let view = PoseView {
             name: "a".to_owned(),
             path: PhotoPath::new("a.png"),
             prepared: prepared.expect("written"),
             original: (3_472, 4_624),
             focal_px: None,
-            masking: Some(Masking { photograph: file.clone(), pictures, alpha: false }),
-            file,
+            mask: Some(mask.expect("written")),
         };
         let (dir, cancel) = (folder.path().join("copies"), CancelToken::new());
         let copies = Copies::write(&dir, &[view], Kind::Small, &cancel).expect("copies");

@@ -11,8 +11,7 @@ use std::path::Path;
 use super::*;
 use crate::capture::PreparedImage;
 use crate::event::{Event, Silent};
-use crate::image::{Image, Srgb};
-use crate::mask::{MaskPicture, Masking};
+use crate::image::{Image, Linear, Srgb};
 use crate::photo_path::PhotoPath;
 use crate::poses::PoseView;
 
@@ -61,11 +60,10 @@ impl Scene {
         let view = |i| PoseView {
             name: format!("view{i}"),
             path: PhotoPath::default(),
-            file: file.clone(),
             prepared: prepared.clone(),
             original: (48, 32),
             focal_px: None,
-            masking: None,
+            mask: None,
         };
         let script = dir.path().join("colmap");
         std::fs::write(&script, format!("{PRELUDE}{MODEL}{body}")).unwrap();
@@ -272,14 +270,11 @@ fn two_photographs_are_rejected_before_anything_runs() {
 #[test]
 fn colmap_gets_the_masks_of_the_photographs() {
     let mut scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
-    let mut picture: Image<Srgb> = Image::new(24, 16);
+    let mut picture: Image<Linear> = Image::new(24, 16);
     (0..24 * 16).filter(|i| i % 24 >= 12).for_each(|i| picture.set(i % 24, i / 24, [1.0; 3]));
-    let file = scene.dir.path().join("mask.png");
-    picture.save(&file).unwrap();
+    let mask = PreparedImage::write(&picture, scene.dir.path().join("mask.half")).unwrap();
     assert!(scene.poses().is_ok() && !scene.log().contains("mask_path /"));
-    let pictures = vec![MaskPicture { file, white_hides: false }];
-    let photograph = scene.views[3].file.clone();
-    scene.views[3].masking = Some(Masking { photograph, pictures, alpha: false });
+    scene.views[3].mask = Some(mask);
     scene.poses().unwrap();
     let folder = scene.work_dir().join("small.masks");
     assert!(scene.log().contains(&format!("--ImageReader.mask_path {}", folder.display())));

@@ -243,11 +243,10 @@ pub fn pose_view(view: &CaptureView) -> PoseView {
     PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
-        file: view.file.clone(),
         prepared: view.prepared.clone(),
         original: (view.width, view.height),
         focal_px: view.focal_px,
-        masking: view.masking.clone(),
+        mask: view.mask.clone(),
     }
 }
 

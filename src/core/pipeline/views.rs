@@ -196,14 +196,11 @@ pub fn view(
     };
     let dark = load(&photograph.prepared)?;
     let gt = photograph.gt.as_ref().map(load).transpose()?;
-    let mask = match &photograph.masking {
-        Some(masking) => Some(
-            masking
-                .load((width, height), |shares| posed.undistort(shares))
-                .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })?,
-        ),
-        None => None,
+    let load = |mask: &PreparedImage| {
+        mask.load_mask((width, height), |shares| posed.undistort(shares))
+            .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
     };
+    let mask = photograph.mask.as_ref().map(load).transpose()?;
     Ok(View {
         name: posed.name.clone(),
         camera: posed.camera.resized(width, height),

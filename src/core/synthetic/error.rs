@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::image::ImageError;
-use crate::poses::PosesError;
+use crate::poses::PoseFileError;
 
 /// The reason why no capture was generated.
 #[derive(Debug, thiserror::Error)]
@@ -24,7 +24,7 @@ pub enum SynthError {
     Image(#[from] ImageError),
     /// The poses could not be written.
     #[error(transparent)]
-    Poses(#[from] PosesError),
+    Poses(#[from] PoseFileError),
     /// A directory could not be created.
     #[error("{}: {source}", path.display())]
     Io {

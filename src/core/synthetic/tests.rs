@@ -1,8 +1,8 @@
 use super::*;
 use crate::cancel::CancelToken;
 use crate::capture::Capture;
-use crate::dataset::GivenPoses;
 use crate::event::Silent;
+use crate::given_poses::GivenSfm;
 use crate::metrics::psnr;
 use crate::pipeline::poses::pose_view;
 use crate::poses::bounds::read_poses_bounds;
@@ -53,8 +53,7 @@ fn every_layout_round_trips_with_truth_and_cameras() {
         let summary = generate(&options, dir.path()).unwrap();
         let capture = Capture::open(dir.path(), dir.path()).unwrap();
         assert!(capture.views.iter().all(|view| view.gt.is_some()), "{layout:?}");
-        let given =
-            GivenPoses::open(capture.poses.as_ref().unwrap().path(), &capture.photographs).unwrap();
+        let given = GivenSfm::new(capture.poses.as_ref().unwrap()).unwrap();
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
         let request = PoseRequest { views: &views, work_dir: dir.path(), seed: 0 };
         let poses = given.poses(&request, &mut Silent, &CancelToken::default());

@@ -86,7 +86,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
             focal_px: None,
             shot: None,
             gt: None,
-            masking: None,
+            mask: None,
         };
         let posed = PosedView {
             name: named.name,

@@ -7,10 +7,10 @@ use glam::DVec3;
 use fled_core::camera::{Camera, Split};
 use fled_core::cancel::CancelToken;
 use fled_core::capture::{Capture, CaptureError, CaptureView, PREPARED_SIDE, masks_in};
-use fled_core::dataset::GivenPoses;
 use fled_core::event::Silent;
-use fled_core::image::Image;
-use fled_core::mask::{Mask, Masking};
+use fled_core::given_poses::GivenSfm;
+use fled_core::image::{Image, read_header};
+use fled_core::mask::Mask;
 use fled_core::pipeline::error::PipelineError;
 use fled_core::pipeline::poses::pose_view;
 use fled_core::pipeline::views::{self, working_size};
@@ -63,10 +63,17 @@ impl Placed<'_> {
                 path: folder.join(format!("{}.png", path.stem())),
             });
         };
-        let masking = Masking { pictures, alpha: false, photograph: self.photograph.file.clone() };
         let k = self.camera(size).intrinsics;
         let undistorted = |shares: &Image<_>| self.posed.undistort(shares);
-        masking.load((k.width, k.height), undistorted).map_err(|source| {
+        let load = || {
+            let header = read_header(&self.photograph.file)?;
+            let mut all = Mask::full(k.width, k.height);
+            for picture in pictures {
+                all = all.and(&picture.load(&header, (k.width, k.height), undistorted)?);
+            }
+            Ok(all)
+        };
+        load().map_err(|source| {
             let name = format!("the mask of {path}");
             EvaluationError::Pipeline(PipelineError::Photograph { name, source })
         })
@@ -108,10 +115,10 @@ impl Truth {
         let side = PREPARED_SIDE.max(size);
         let capture = Capture::open_at(folder, scratch, side).map_err(fault)?;
         let no_poses = || EvaluationError::NoPoses { path: folder.to_owned() };
-        let file = capture.poses.as_ref().ok_or_else(no_poses)?;
+        let given = capture.poses.as_ref().ok_or_else(no_poses)?;
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
         let request = PoseRequest { views: &views, work_dir: scratch, seed: 0 };
-        let poses = GivenPoses::open(file.path(), &capture.photographs)
+        let poses = GivenSfm::new(given)
             .and_then(|given| given.poses(&request, &mut Silent, &CancelToken::default()))
             .map_err(PipelineError::from)?;
         Ok(Self::of(capture.views, &poses))

@@ -85,11 +85,10 @@ fn copy(
     Ok(PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
-        file: view.file.clone(),
         original: (prepared.width, prepared.height),
         prepared,
         focal_px: view.focal_px.map(|focal| focal * scale),
-        masking: view.masking.clone(),
+        mask: view.mask.clone(),
     })
 }
 

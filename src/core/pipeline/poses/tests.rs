@@ -233,7 +233,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         focal_px: None,
         shot: None,
         gt: None,
-        masking: None,
+        mask: None,
     };
     warn(&mut sink, &poses, &[view]);
     assert_eq!(

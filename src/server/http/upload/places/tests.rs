@@ -5,8 +5,8 @@ use std::fs;
 use fled_core::camera::{Camera, Intrinsics};
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
-use fled_core::dataset::GivenPoses;
 use fled_core::event::Silent;
+use fled_core::given_poses::GivenSfm;
 use fled_core::image::{EncodeFormat, Image, Srgb};
 use fled_core::pipeline::poses::pose_view;
 use fled_core::poses::model::SparseModel;
@@ -119,8 +119,7 @@ fn model(
 fn given(capture: &Capture) -> Result<Poses, PosesError> {
     let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
     let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0 };
-    let file = capture.poses.as_ref().expect("poses");
-    let given = GivenPoses::open(file.path(), &capture.photographs)?;
+    let given = GivenSfm::new(capture.poses.as_ref().expect("poses"))?;
     given.poses(&request, &mut Silent, &CancelToken::new())
 }
 

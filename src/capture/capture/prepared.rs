@@ -1,0 +1,124 @@
+//! Prepared images: what the pipeline reads in place of photographs.
+//!
+//! A photograph is decoded once, when its capture is opened, and kept as linear light at no more
+//! than [`PREPARED_SIDE`] px. A file is two little-endian `u32` (width and height, px) and three
+//! planes of half floats: nothing to compress in noise, no encoder to wait for, and light below
+//! black or above white has a place. Half floats err by 2^-12 of a value, a tenth of a level of 8
+//! bits at most.
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use serde::{Deserialize, Serialize};
+
+use crate::image::{Image, ImageError, Linear, Srgb};
+use crate::mask::Mask;
+
+/// Longest side of prepared images, px, unless a run works on larger ones.
+pub const PREPARED_SIDE: usize = 2_048;
+
+/// Bytes before the planes.
+const HEADER: usize = 8;
+
+/// A photograph, upright, in linear light of sRGB primaries; 1 is the file's white.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PreparedImage {
+    file: PathBuf,
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+}
+
+impl PreparedImage {
+    /// Writes an image to `file`.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub fn write(image: &Image<Linear>, file: PathBuf) -> io::Result<Self> {
+        let mut bytes = Vec::with_capacity(HEADER + 2 * image.data().len());
+        for length in [image.width(), image.height()] {
+            bytes.extend((length as u32).to_le_bytes());
+        }
+        let mut halves = vec![f16::ZERO; image.width()];
+        for row in image.data().chunks(image.width()) {
+            halves.convert_from_f32_slice(row);
+            bytes.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
+        }
+        fs::write(&file, bytes)?;
+        Ok(Self { file, width: image.width(), height: image.height() })
+    }
+
+    /// Reads the image at its own size.
+    ///
+    /// # Errors
+    /// [`ImageError::Io`]; [`ImageError::Damaged`] for a file of another size.
+    pub fn load(&self) -> Result<Image<Linear>, ImageError> {
+        let io = |source| ImageError::Io { path: self.file.clone(), source };
+        let bytes = fs::read(&self.file).map_err(io)?;
+        let mut image = Image::new(self.width, self.height);
+        let size = [self.width, self.height].map(|length| (length as u32).to_le_bytes()).concat();
+        if bytes.len() != HEADER + 2 * image.data().len() || !bytes.starts_with(&size) {
+            let message = format!("{} is not a whole prepared image", self.file.display());
+            return Err(ImageError::Damaged { message });
+        }
+        let mut halves = vec![f16::ZERO; self.width];
+        let rows = bytes[HEADER..].chunks_exact(2 * self.width);
+        for (row, bytes) in image.data_mut().chunks_exact_mut(self.width).zip(rows) {
+            for (half, bytes) in halves.iter_mut().zip(bytes.chunks_exact(2)) {
+                *half = f16::from_le_bytes([bytes[0], bytes[1]]);
+            }
+            halves.convert_to_f32_slice(row);
+        }
+        Ok(image)
+    }
+
+    /// Reads the image with its longest side brought down to `side` px, encoded as sRGB. Never
+    /// enlarges.
+    ///
+    /// # Errors
+    /// As [`PreparedImage::load`].
+    pub fn load_at_most(&self, side: usize) -> Result<Image<Srgb>, ImageError> {
+        let image = self.load()?;
+        let (width, height) = image.size_at_most(side);
+        Ok(if (width, height) == (self.width, self.height) {
+            image.to_srgb()
+        } else {
+            image.resize_area(width, height).to_srgb()
+        })
+    }
+
+    /// The pixels that count of a photograph of this size, if this is how much each of them counts.
+    /// `undistort` moves them as it does the photograph's, at any size.
+    ///
+    /// # Errors
+    /// As [`PreparedImage::load`].
+    pub fn load_mask(
+        &self,
+        (width, height): (usize, usize),
+        undistort: impl Fn(&Image<Linear>) -> Image<Linear>,
+    ) -> Result<Mask, ImageError> {
+        let shares = self.load()?.resize_area(width, height);
+        Ok(Mask::of_shares(&undistort(&shares)))
+    }
+
+    /// Stands for an image that was not kept.
+    pub fn none() -> Self {
+        Self { file: PathBuf::new(), width: 0, height: 0 }
+    }
+
+    /// Whether the file is in this folder and has the size of the image.
+    pub(super) fn is_whole_in(&self, folder: &Path) -> bool {
+        let bytes = (HEADER + 6 * self.width * self.height) as u64;
+        self.file.parent() == Some(folder)
+            && self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
+    }
+
+    pub(super) fn remove(&self) {
+        // A leftover file does no harm: the manifest does not name it.
+        let _ = fs::remove_file(&self.file);
+    }
+}

@@ -1,0 +1,135 @@
+//! Prepared images, and how often photographs are decoded for them.
+
+use super::*;
+use crate::image::DECODED;
+
+/// Three photographs of 96 x 64 px, the first with ground truth.
+fn capture() -> tempfile::TempDir {
+    folder(&[
+        ("images/a.jpg", jpeg(1)),
+        ("images/b.jpg", jpeg(2)),
+        ("images/c.jpg", jpeg(3)),
+        ("gt/a.png", picture(9, 96, 64).encode(EncodeFormat::Png).expect("encoded")),
+    ])
+}
+
+fn open(folder: &Path, side: usize) -> Capture {
+    Capture::open_at(&folder.join("capture"), &folder.join("scratch"), side).expect("a capture")
+}
+
+/// How often files below a folder were decoded.
+fn decodes(folder: &Path) -> usize {
+    let decoded = DECODED.lock().expect("unpoisoned");
+    decoded.iter().filter(|path| path.starts_with(folder.join("capture"))).count()
+}
+
+#[test]
+fn each_photograph_is_decoded_once() {
+    let folder = capture();
+    let opened = open(folder.path(), PREPARED_SIDE);
+    assert_eq!(decodes(folder.path()), 4, "three photographs and a ground truth");
+    for size in [560, 48] {
+        for view in &opened.views {
+            let read = view.prepared.load_at_most(size).expect("a view");
+            assert_eq!(read.width(), size.min(96));
+            assert!(view.gt.iter().all(|gt| gt.load_at_most(size).is_ok()));
+        }
+    }
+    assert_eq!(open(folder.path(), PREPARED_SIDE), opened);
+    assert_eq!(decodes(folder.path()), 4);
+    fs::write(folder.path().join("capture/images/d.gpr"), "raw").expect("written");
+    let more = open(folder.path(), PREPARED_SIDE);
+    assert_eq!((more.views.len(), more.assessments.len()), (3, 4), "another file is listed");
+    fs::write(folder.path().join("capture/images/c.jpg"), jpeg(7)).expect("written");
+    assert_ne!(open(folder.path(), PREPARED_SIDE).fingerprint, opened.fingerprint);
+    assert_eq!(decodes(folder.path()), 12, "another capture is prepared again");
+}
+
+#[test]
+fn images_are_prepared_no_larger_than_asked_for_and_averaged_in_light() {
+    let folder = capture();
+    let opened = open(folder.path(), 48);
+    for view in &opened.views {
+        assert_eq!((view.width, view.height), (96, 64));
+        assert_eq!((view.prepared.width, view.prepared.height), (48, 32));
+        let wanted = Image::load_light(&view.file, 48).expect("read");
+        let image = view.prepared.load().expect("read");
+        let mut pairs = image.data().iter().zip(wanted.data());
+        assert!(pairs.all(|(a, b)| (a - b).abs() <= b / 2048.0 + 1e-6), "{}", view.path);
+    }
+    let larger = open(folder.path(), 96);
+    assert!(larger.views.iter().all(|view| view.prepared.width == 96));
+    let small = larger.views[0].prepared.load_at_most(24).expect("read");
+    assert_eq!((small.width(), small.height()), (24, 16));
+}
+
+#[test]
+fn only_accepted_photographs_leave_images() {
+    let folder = capture();
+    let copy = folder.path().join("capture/images/b copy.jpg");
+    fs::write(copy, jpeg(2)).expect("written");
+    let opened = open(folder.path(), PREPARED_SIDE);
+    assert_eq!(opened.views.len(), 3);
+    let files = fs::read_dir(folder.path().join("scratch/prepared")).expect("listed");
+    assert_eq!(files.count(), 5, "three images, a ground truth and the manifest");
+    let few = folder.path().join("capture/images/a.jpg");
+    fs::remove_file(few).expect("removed");
+    fs::remove_file(folder.path().join("capture/images/b.jpg")).expect("removed");
+    let scratch = folder.path().join("scratch");
+    let outcome = Capture::open(&folder.path().join("capture"), &scratch);
+    assert!(matches!(outcome, Err(CaptureError::TooFew { accepted: 2, .. })), "{outcome:?}");
+    assert!(!scratch.join("prepared").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn a_name_that_is_not_utf8_is_prepared_each_time() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = capture();
+    let name = std::ffi::OsStr::from_bytes(b"\xff.jpg");
+    fs::write(folder.path().join("capture/images").join(name), jpeg(5)).expect("written");
+    for _ in 0..2 {
+        assert_eq!(open(folder.path(), PREPARED_SIDE).views.len(), 4);
+    }
+}
+
+#[test]
+fn files_stored_in_another_order_are_prepared_again() {
+    let folder = folder(&[]);
+    let (zip, scratch) = (folder.path().join("capture.zip"), folder.path().join("scratch"));
+    let of = |order: [usize; 3]| {
+        let bytes = zipped(&|writer| {
+            order.iter().for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(*i)));
+        });
+        fs::write(&zip, bytes).expect("written");
+        Capture::open(&zip, &scratch).expect("a capture")
+    };
+    let (first, second) = (of([0, 1, 2]), of([2, 1, 0]));
+    assert_eq!(first.fingerprint, second.fingerprint);
+    for view in &second.views {
+        let number: usize = view.name.parse().expect("a number");
+        assert!(fs::read(&view.file).expect("read") == jpeg(number), "{}", view.path);
+    }
+}
+
+#[test]
+fn a_place_that_cannot_be_written_to_is_no_fault_of_the_photographs() {
+    let folder = capture();
+    let scratch = folder.path().join("scratch");
+    fs::create_dir(&scratch).expect("made");
+    fs::write(scratch.join("prepared"), "a file").expect("written");
+    let outcome = Capture::open(&folder.path().join("capture"), &scratch);
+    assert!(matches!(outcome, Err(CaptureError::Io { .. })), "{outcome:?}");
+}
+
+#[test]
+fn a_damaged_image_is_an_error_until_the_capture_is_opened_again() {
+    let folder = capture();
+    let opened = open(folder.path(), PREPARED_SIDE);
+    let file = folder.path().join("scratch/prepared/view-00000.half");
+    let bytes = fs::read(&file).expect("read");
+    fs::write(&file, &bytes[..bytes.len() - 2]).expect("written");
+    assert!(opened.views[0].prepared.load().is_err());
+    let again = open(folder.path(), PREPARED_SIDE);
+    assert!(again.views[0].prepared.load().is_ok(), "prepared again");
+}
