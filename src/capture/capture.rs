@@ -28,6 +28,7 @@ pub mod video;
 mod watch;
 mod white_balances;
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -120,7 +121,7 @@ impl Inspection {
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
     pub fn of(path: &Path, scratch_dir: &Path, watch: &Watch<'_>) -> Result<Self, CaptureError> {
-        let layout = layout(path, scratch_dir)?;
+        let layout = Source::of(path)?.layout(&scratch_dir.join("unpacked"))?;
         let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
         let poses = placed(layout.poses.as_ref(), &photographs, &views)?;
@@ -129,12 +130,11 @@ impl Inspection {
 }
 
 impl Capture {
-    /// Opens a capture and prepares its images in `prepared/` under `scratch_dir`, at most
-    /// [`PREPARED_SIDE`] px; otherwise as [`Inspection::of`]. A capture already prepared there is
-    /// not decoded again.
+    /// Prepares a capture in `prepared/` under `scratch_dir`, with images of at most
+    /// [`PREPARED_SIDE`] px.
     ///
     /// # Errors
-    /// As [`Inspection::of`]; [`CaptureError::Io`] if an image cannot be written.
+    /// As [`Capture::prepare`].
     pub fn open(path: &Path, scratch_dir: &Path) -> Result<Self, CaptureError> {
         Self::open_at(path, scratch_dir, PREPARED_SIDE)
     }
@@ -142,64 +142,144 @@ impl Capture {
     /// As [`Capture::open`], with images of at most `side` px.
     ///
     /// # Errors
-    /// As [`Capture::open`].
+    /// As [`Capture::prepare`].
     pub fn open_at(path: &Path, scratch_dir: &Path, side: usize) -> Result<Self, CaptureError> {
-        let layout = layout(path, scratch_dir)?;
-        let fingerprint = layout.fingerprint()?;
-        let contents = format!("{fingerprint} {}", layout.files);
-        let preparation = Preparation::new(scratch_dir, side);
-        let before = preparation.before(&contents);
-        let is_whole = |capture: &Self| capture.is_whole(&preparation.folder);
-        if let Some(capture) = before.filter(is_whole) {
+        Self::prepare(path, &scratch_dir.join("prepared"), side, &Watch::nobody())
+    }
+
+    /// Prepares a capture: writes its images, with a longest side of at most `side` px, and a
+    /// manifest into `out`, a folder that is new, empty or of an earlier preparation. A capture
+    /// already prepared there is not decoded again. A zip is unpacked there while it is read.
+    ///
+    /// # Errors
+    /// As [`Inspection::of`]; [`CaptureError::Io`] if an image cannot be written;
+    /// [`CaptureError::Occupied`] if the folder has other files.
+    pub fn prepare(
+        path: &Path,
+        out: &Path,
+        side: usize,
+        watch: &Watch<'_>,
+    ) -> Result<Self, CaptureError> {
+        let preparation = Preparation::new(out, side);
+        let source = Source::of(path)?;
+        let contents = source.contents()?;
+        if let Some(capture) = preparation.before(&contents) {
             return Ok(capture);
         }
-        let failed = || CaptureError::io(&preparation.folder);
-        preparation.begin().map_err(failed())?;
-        let assessed = assess::assess(&layout, &Watch::nobody(), Some(&preparation))
-            .map_err(failed())
-            .and_then(enough)
-            .inspect_err(|_| preparation.abandon())?;
-        let Assessed { views, photographs, assessments, warnings } = assessed;
-        let poses = placed(layout.poses.as_ref(), &photographs, &views)
-            .inspect_err(|_| preparation.abandon())?;
+        preparation.begin()?;
+        let prepared = source.layout(&preparation.unpacked()).and_then(|layout| {
+            let capture = Self::of(layout, &preparation, watch)?;
+            preparation.keep(&contents, &capture)?;
+            Ok(capture)
+        });
+        preparation.clear_unpacked();
+        if prepared.is_err() {
+            preparation.abandon();
+        }
+        prepared
+    }
+
+    fn of(
+        layout: Layout,
+        preparation: &Preparation,
+        watch: &Watch<'_>,
+    ) -> Result<Self, CaptureError> {
+        let fingerprint = layout.fingerprint()?;
+        let assessed = assess::assess(&layout, watch, Some(preparation))
+            .map_err(CaptureError::io(&preparation.folder))?;
+        let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
+        let poses = placed(layout.poses.as_ref(), &photographs, &views)?;
         let hold = layout.hold;
-        let capture = Self { views, photographs, assessments, warnings, poses, hold, fingerprint };
-        preparation
-            .keep(&contents, &capture)
-            .inspect_err(|_| preparation.abandon())
-            .map_err(failed())?;
-        Ok(capture)
+        Ok(Self { views, photographs, assessments, warnings, poses, hold, fingerprint })
     }
 
-    /// The folder of the prepared images under a scratch folder.
-    pub fn prepared(scratch_dir: &Path) -> PathBuf {
-        Preparation::new(scratch_dir, PREPARED_SIDE).folder
+    /// Whether a folder holds a prepared capture.
+    pub fn is_prepared(folder: &Path) -> bool {
+        Preparation::is_here(folder)
     }
 
-    /// Whether the files of all prepared images are in this folder and have their sizes.
-    fn is_whole(&self, folder: &Path) -> bool {
-        let mut images = self
-            .views
-            .iter()
-            .flat_map(|view| [&view.prepared].into_iter().chain(&view.gt).chain(&view.mask));
-        images.all(|image| image.is_whole_in(folder))
+    /// Reads the prepared capture in a folder, which may have been moved.
+    ///
+    /// # Errors
+    /// [`CaptureError::Unprepared`] if there is none of this build, whole.
+    pub fn prepared(folder: &Path) -> Result<Self, CaptureError> {
+        Preparation::read(folder)
+    }
+
+    /// Checks that the prepared images are as large as a run with images of at most `side` px
+    /// needs.
+    ///
+    /// # Errors
+    /// [`CaptureError::TooSmall`].
+    pub fn expect_side(&self, side: usize) -> Result<(), CaptureError> {
+        let is_small = |view: &&CaptureView| {
+            let prepared = view.prepared.width.max(view.prepared.height);
+            prepared < side.min(view.width.max(view.height))
+        };
+        match self.views.iter().find(is_small) {
+            Some(view) => {
+                let prepared = view.prepared.width.max(view.prepared.height);
+                Err(CaptureError::TooSmall { prepared, side })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// The folder of the photographs taken from a video, in the folder where they are prepared.
+    pub fn frames(out: &Path, name: &str) -> PathBuf {
+        preparation::frames(out, name)
+    }
+
+    /// The images that were prepared.
+    fn images(&mut self) -> impl Iterator<Item = &mut PreparedImage> {
+        self.views.iter_mut().flat_map(|view| {
+            [&mut view.prepared].into_iter().chain(&mut view.gt).chain(&mut view.mask)
+        })
     }
 }
 
-fn layout(path: &Path, scratch_dir: &Path) -> Result<Layout, CaptureError> {
-    let metadata = path.metadata().map_err(CaptureError::io(path))?;
-    let entries = if metadata.is_dir() {
-        entries::of_folder(path)?
-    } else if archive::is_zip(path).map_err(CaptureError::io(path))? {
-        archive::unpack(path, &scratch_dir.join("unpacked"))?
-    } else {
+/// A folder or a zip.
+enum Source<'a> {
+    Folder(Layout),
+    Zip(&'a Path),
+}
+
+impl<'a> Source<'a> {
+    fn of(path: &'a Path) -> Result<Self, CaptureError> {
+        let metadata = path.metadata().map_err(CaptureError::io(path))?;
+        if metadata.is_dir() {
+            return Layout::of(entries::of_folder(path)?).map(Self::Folder);
+        }
+        if archive::is_zip(path).map_err(CaptureError::io(path))? {
+            return Ok(Self::Zip(path));
+        }
         let path = path.to_owned();
-        return Err(match Unread::of(&path).map_err(CaptureError::io(&path))? {
+        Err(match Unread::of(&path).map_err(CaptureError::io(&path))? {
             Some(format) => CaptureError::Unread { path, format },
             None => CaptureError::NotACapture { path },
-        });
-    };
-    Layout::of(entries)
+        })
+    }
+
+    /// A digest of all that is read.
+    fn contents(&self) -> Result<String, CaptureError> {
+        match self {
+            Self::Folder(layout) => Ok(format!("{} {}", layout.fingerprint()?, layout.files)),
+            Self::Zip(path) => {
+                let mut hasher = blake3::Hasher::new();
+                let file = File::open(path).map_err(CaptureError::io(path))?;
+                hasher.update_reader(file).map_err(CaptureError::io(path))?;
+                Ok(format!("zip {}", hasher.finalize().to_hex()))
+            }
+        }
+    }
+
+    /// A zip is unpacked to this folder.
+    fn layout(self, unpacked: &Path) -> Result<Layout, CaptureError> {
+        match self {
+            Self::Folder(layout) => Ok(layout),
+            Self::Zip(path) => Layout::of(archive::unpack(path, unpacked)?),
+        }
+    }
 }
 
 /// # Errors

@@ -44,6 +44,16 @@ impl Group {
         Ok(self.ended)
     }
 
+    /// Waits for the leader to exit.
+    ///
+    /// # Errors
+    /// The system's error if the status is unavailable.
+    pub fn wait(&mut self) -> io::Result<ExitStatus> {
+        let status = self.child.wait()?;
+        self.ended = Some(status);
+        Ok(status)
+    }
+
     /// Kills the group and reaps its leader; does nothing after the leader was reaped.
     pub fn kill(&mut self) {
         let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);

@@ -14,6 +14,7 @@ pub mod group;
 pub mod image;
 pub mod linear;
 pub mod mask;
+mod path_serde;
 pub mod photo_path;
 pub mod plain;
 pub mod poses;

@@ -242,9 +242,9 @@ impl WorkFolder {
         &self.root
     }
 
-    /// Where a zipped capture is unpacked.
-    pub fn capture(&self) -> PathBuf {
-        self.root.join("capture")
+    /// The prepared capture.
+    pub fn prepared(&self) -> PathBuf {
+        self.root.join("prepared")
     }
 
     /// The working folder of structure from motion.
@@ -300,7 +300,7 @@ impl WorkFolder {
     /// The files and folders deleted when a run succeeds: the large ones of these.
     pub fn disposable(&self) -> [PathBuf; 5] {
         [
-            self.capture(),
+            self.prepared(),
             self.root.join(KeptImages::Deblurred.name()),
             self.root.join(KeptImages::Brightened.name()),
             self.late_views(),

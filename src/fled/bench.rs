@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use fled_core::cancel::CancelToken;
-use fled_core::capture::{Capture, PREPARED_SIDE};
+use fled_core::capture::{Capture, PREPARED_SIDE, Watch};
 use fled_core::device::Device;
 use fled_core::event::Event;
 use fled_core::pipeline::config::Preset;
@@ -136,8 +136,9 @@ fn run_job(
     eprintln!("running {} with preset {}", capture.display(), args.preset.name());
     let begin = Instant::now();
     let side = PREPARED_SIDE.max(options.longest_side() as usize);
-    let capture = Capture::open_at(capture, &workspace.folder().work().capture(), side)
-        .map_err(PipelineError::from)?;
+    let prepared = workspace.folder().work().prepared();
+    let capture = Capture::prepare(capture, &prepared, side, &Watch::nobody());
+    let capture = capture.map_err(PipelineError::from)?;
     let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
     let mut kit = tools::Kit::new(&places, &options, &capture)?;
     let outcome =

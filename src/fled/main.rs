@@ -10,6 +10,7 @@ mod failure;
 mod gc;
 mod migrate;
 mod models;
+mod prepare;
 mod progress;
 mod remote;
 mod render;
@@ -48,6 +49,8 @@ struct Cli {
 enum Command {
     /// Reconstructs a capture. Repeat the command to continue a stopped run.
     Run(run::Args),
+    /// Reads photographs once and keeps what a run needs of them: `fled run` takes its folder.
+    Prepare(prepare::Args),
     /// Finds the poses of a capture; `fled run` with the same folder continues from them.
     Poses(run::Args),
     /// Renders a view of a finished run.
@@ -114,6 +117,7 @@ fn main() -> ExitCode {
     }
     let outcome = match cli.command {
         Command::Run(args) => run::main(&args, run::Extent::Whole),
+        Command::Prepare(args) => prepare::main(&args),
         Command::Poses(args) => run::main(&args, run::Extent::Poses),
         Command::Render(args) => render::main(&args),
         Command::Video(args) => video::main(&args),

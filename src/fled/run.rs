@@ -1,28 +1,26 @@
 //! `fled run`: one capture, no server.
 
-use std::fs::{self, File, OpenOptions};
-use std::path::{Path, PathBuf};
+use std::fs::{self, OpenOptions};
+use std::path::PathBuf;
 
-use clap::builder::RangedU64ValueParser;
 use fled_core::cancel::CancelToken;
-use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
-use fled_core::capture::{Assessment, Capture, CaptureError, MIN_VIEWS, PREPARED_SIDE};
+use fled_core::capture::PREPARED_SIDE;
 use fled_core::event::ProgressSink;
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
-use fled_core::pipeline::error::ErrorKind;
-use fled_core::pipeline::workspace::{Workspace, fingerprint};
+use fled_core::pipeline::workspace::Workspace;
 use serde_json::{Map, Value};
 
 use crate::failure::{Failure, io};
+use crate::prepare;
 use crate::progress::Reporter;
 use crate::tools;
 
 /// Arguments of `fled run`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder or zip of photographs, or a video (MP4, MOV).
-    capture: PathBuf,
+    #[command(flatten)]
+    source: prepare::Source,
     /// Where the result goes.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -35,10 +33,6 @@ pub struct Args {
     /// A JSON object of options over the preset's, before any `--set`.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
-    /// Photographs to take of a video: of every stretch the sharpest frame.
-    #[arg(long, value_name = "N", default_value_t = FRAMES,
-        value_parser = RangedU64ValueParser::<usize>::from(MIN_VIEWS as u64..=MOST_FRAMES as u64))]
-    frames: usize,
     /// Events as JSON lines on standard output.
     #[arg(long)]
     json: bool,
@@ -46,8 +40,6 @@ pub struct Args {
     /// the unpacked capture and the deblurred views in full precision.
     #[arg(long)]
     discard_work: bool,
-    #[command(flatten)]
-    ffmpeg: tools::Ffmpeg,
     #[command(flatten)]
     tools: tools::Args,
 }
@@ -89,24 +81,9 @@ fn run(
 ) -> Result<(), Failure> {
     // The file also marks this folder as no part of a capture, should it lie inside one.
     workspace.write_json(&workspace.folder().config(), options)?;
-    let scratch = workspace.folder().work().capture();
-    let photographs = if args.capture.is_file() && video::is_video(&args.capture) {
-        &frames(args, &scratch, reporter, cancel)?
-    } else {
-        &args.capture
-    };
     let side = PREPARED_SIDE.max(options.longest_side() as usize);
-    let opened = Capture::open_at(photographs, &scratch, side);
-    match &opened {
-        Ok(Capture { assessments, .. }) | Err(CaptureError::TooFew { assessments, .. }) => {
-            report(assessments, reporter);
-        }
-        Err(_) => {}
-    }
-    let capture = opened.map_err(pipeline::error::PipelineError::from)?;
-    for warning in &capture.warnings {
-        reporter.warn(&warning.code, warning.message.clone());
-    }
+    let out = workspace.folder().work().prepared();
+    let capture = prepare::open(&args.source, &out, side, reporter, cancel)?;
     let mut kit = tools::Kit::new(&args.tools, options, &capture)?;
     let mut tools = kit.tools();
     match extent {
@@ -122,18 +99,6 @@ fn run(
         workspace.discard_intermediates()?;
     }
     Ok(())
-}
-
-/// Reports unused photographs with the reason, and the warnings of each photograph.
-fn report(assessments: &[Assessment], reporter: &mut Reporter) {
-    for Assessment { name, reason, warnings, .. } in assessments {
-        if let Some(reason) = reason {
-            reporter.warn("unused", format!("{name} is not used: {reason}"));
-        }
-        for warning in warnings {
-            reporter.warn(&warning.code, format!("{name}: {}", warning.message));
-        }
-    }
 }
 
 fn options(args: &Args) -> Result<Options, Failure> {
@@ -161,50 +126,4 @@ fn is_retired(key: &str) -> bool {
         eprintln!("warning: fled no longer has the option `{key}`; it is ignored");
     }
     retired
-}
-
-/// The folder with the photographs taken from a video; reuses one already made by this build.
-fn frames(
-    args: &Args,
-    scratch: &Path,
-    reporter: &mut Reporter,
-    cancel: &CancelToken,
-) -> Result<PathBuf, Failure> {
-    let video = &args.capture;
-    let mut hasher = blake3::Hasher::new();
-    let file = File::open(video).map_err(io(video))?;
-    hasher.update_reader(file).map_err(io(video))?;
-    let digest = hasher.finalize().to_hex();
-    let name = fingerprint(&[&args.frames.to_string(), &digest]);
-    let folder = scratch.join(format!("frames-{}", &name[..16]));
-    if folder.is_dir() {
-        return Ok(folder);
-    }
-    let unfinished = scratch.join("frames-unfinished");
-    if unfinished.exists() {
-        fs::remove_dir_all(&unfinished).map_err(io(&unfinished))?;
-    }
-    let name = video.file_name().unwrap_or_default().to_string_lossy();
-    let wanted = Wanted { count: args.frames, into: &unfinished, stem: "frame", room: u64::MAX };
-    let ffmpeg = args.ffmpeg.command()?;
-    let taken = video::take_frames(&ffmpeg, video, &wanted, cancel)?;
-    match taken.hdr {
-        Some(_) => reporter.warn("video", taken.told(&name)),
-        None => reporter.log(taken.told(&name)),
-    }
-    fs::rename(&unfinished, &folder).map_err(io(&folder))?;
-    Ok(folder)
-}
-
-impl From<VideoError> for Failure {
-    fn from(error: VideoError) -> Self {
-        let kind = match error {
-            VideoError::Missing { .. } => ErrorKind::Environment,
-            VideoError::Timeout => ErrorKind::Timeout,
-            VideoError::Cancelled(_) => ErrorKind::Cancelled,
-            VideoError::Io { .. } | VideoError::NoRoom { .. } => ErrorKind::Io,
-            _ => ErrorKind::BadInput,
-        };
-        Self { hint: error.hint().to_owned(), ..Self::new(kind, error) }
-    }
 }

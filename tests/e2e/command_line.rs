@@ -66,7 +66,7 @@ fn frames_that_an_earlier_build_took_of_a_video_are_taken_again() {
     fs::write(&video, "a video").expect("written");
     let digest = blake3::hash(b"a video").to_hex();
     // As builds before CODE_VERSION 5 named them.
-    let frames = out.join("work/capture").join(format!("frames-40-{}", &digest[..16]));
+    let frames = out.join("work/prepared").join(format!(".frames-40-{}", &digest[..16]));
     fs::create_dir_all(&frames).expect("folder");
     let [video, out] = [&video, &out].map(|path| path.display().to_string());
     let output = fled(&["run", &video, "--out", &out, "--ffmpeg", "/nowhere/ffmpeg"]);

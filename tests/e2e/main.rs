@@ -11,6 +11,7 @@ mod memory;
 mod models;
 mod networks;
 mod paper;
+mod prepared;
 mod remote;
 mod service;
 mod suite;

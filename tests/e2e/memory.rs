@@ -1,9 +1,8 @@
 //! The peak memory of a run over large photographs on a machine with many cores.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
@@ -54,27 +53,29 @@ fn large_photographs_and_many_cores_take_no_more_memory() {
     generate(&options, &capture).expect("a synthetic capture");
     fs::remove_dir_all(capture.join("HL")).expect("removed");
     enlarge(&capture);
-    let mut command = fled();
-    command.arg("run").arg(&capture).arg("--out").arg(folder.path().join("out")).arg("--json");
-    command.args(["--cache", "none", "--set", "steps=60", "--set", "pose_source=given"]);
-    command.env("RAYON_NUM_THREADS", "16").stdout(Stdio::piped()).stderr(Stdio::null());
-    let mut child = command.spawn().expect("the binary starts");
-    let process = child.id();
-    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
-    // The first event follows the preparation of the capture.
-    let first = lines.next().expect("an event").expect("UTF-8");
-    let preparing = peak(process).expect("it runs");
-    let reader = thread::spawn(move || lines.map_while(Result::ok).last());
-    let mut whole = preparing;
-    while let Some(now) = peak(process) {
-        whole = whole.max(now);
-        thread::sleep(Duration::from_millis(100));
-        if child.try_wait().expect("waited").is_some() {
-            break;
-        }
-    }
-    let last = reader.join().expect("read");
-    assert!(child.wait().expect("waited").success(), "{first}\n{last:?}");
+    let prepared = folder.path().join("prepared");
+    let mut prepare = fled();
+    prepare.arg("prepare").arg(&capture).arg("--out").arg(&prepared);
+    let preparing = peak_of(prepare);
+    let mut run = fled();
+    run.arg("run").arg(&prepared).arg("--out").arg(folder.path().join("out"));
+    run.args(["--cache", "none", "--set", "steps=60", "--set", "pose_source=given"]);
+    let whole = peak_of(run);
     assert!(preparing <= MAX_PREPARING, "preparing took {preparing} MB");
     assert!(whole <= MAX_RUN, "the run took {whole} MB");
+}
+
+/// Peak resident memory, MB, of a command on a machine with many cores.
+fn peak_of(mut command: Command) -> u64 {
+    command.env("RAYON_NUM_THREADS", "16").stdout(Stdio::null()).stderr(Stdio::null());
+    let mut child = command.spawn().expect("the binary starts");
+    let mut most = 0;
+    loop {
+        most = most.max(peak(child.id()).unwrap_or(0));
+        if let Some(status) = child.try_wait().expect("waited") {
+            assert!(status.success(), "{status}");
+            return most;
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
 }

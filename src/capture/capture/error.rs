@@ -60,6 +60,26 @@ pub enum CaptureError {
         /// The outcome for each file.
         assessments: Vec<Assessment>,
     },
+    /// The folder for a prepared capture has files of something else.
+    #[error("{} is not part of a prepared capture", path.display())]
+    Occupied {
+        /// One of them.
+        path: PathBuf,
+    },
+    /// A prepared capture cannot be used.
+    #[error("{} is no whole prepared capture of this build of fled", path.display())]
+    Unprepared {
+        /// Its folder.
+        path: PathBuf,
+    },
+    /// A prepared capture is too small for a run.
+    #[error("the capture is prepared at {prepared} px, and the run needs {side}")]
+    TooSmall {
+        /// Longest side of its images, px.
+        prepared: usize,
+        /// Longest side of the images of the run, px.
+        side: usize,
+    },
     /// The file system failed.
     #[error("{}: {source}", path.display())]
     Io {
@@ -98,6 +118,11 @@ impl CaptureError {
             }
             Self::NoPhotographs { .. } | Self::TooFew { .. } => {
                 "upload 20 to 60 overlapping photographs of one unmoving scene, each from another place"
+            }
+            Self::Occupied { .. } => "give a new or empty folder",
+            Self::Unprepared { .. } => "prepare the photographs again with `fled prepare`",
+            Self::TooSmall { .. } => {
+                "prepare the photographs again with a larger `--size`, or run with a smaller `size`"
             }
             Self::Io { .. } => {
                 "check that the path exists, can be read, and that the disk is not full"

@@ -1,7 +1,7 @@
 //! Looks at one photograph.
 
 use std::io::{self, ErrorKind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
@@ -157,7 +157,7 @@ impl<'a> Assessor<'a> {
         &self,
         entry: &Entry,
         header: &Header,
-        file: impl FnOnce(&Preparation) -> PathBuf,
+        (kind, index): (Kind, usize),
     ) -> Result<(Image<Srgb>, Option<PreparedImage>), ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
         let white_balance = header.raw.as_ref().and_then(|raw| self.white_balances.of_camera(raw));
@@ -171,12 +171,12 @@ impl<'a> Assessor<'a> {
         let image = watched(self.tell, entry, decode)?;
         let (width, height) = image.size_at_most(ASSESSED_SIDE);
         let small = image.resize_area(width, height).to_srgb();
-        Ok((small, self.written(&image, file(preparation))))
+        Ok((small, self.written(preparation.write(&image, kind, index))))
     }
 
-    /// Writes a prepared image; notes a failure.
-    fn written(&self, image: &Image<Linear>, file: PathBuf) -> Option<PreparedImage> {
-        let written = PreparedImage::write(image, file).map_err(|error| {
+    /// A prepared image; notes a failure to write it.
+    fn written(&self, outcome: io::Result<PreparedImage>) -> Option<PreparedImage> {
+        let written = outcome.map_err(|error| {
             self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
         });
         written.ok()
@@ -201,7 +201,7 @@ impl<'a> Assessor<'a> {
             let pairs = all.data_mut().iter_mut().zip(other.data());
             pairs.for_each(|(least, share)| *least = least.min(*share));
         }
-        self.written(&all, preparation.file(Kind::Mask, index))
+        self.written(preparation.write(&all, Kind::Mask, index))
     }
 
     fn look_at(&self, index: usize, entry: &Entry) -> Result<Seen, Fault> {
@@ -219,8 +219,7 @@ impl<'a> Assessor<'a> {
                 header.width, header.height
             ));
         }
-        let file = |preparation: &Preparation| preparation.file(Kind::View, index);
-        let (small, prepared) = match self.small(entry, &header, file) {
+        let (small, prepared) = match self.small(entry, &header, (Kind::View, index)) {
             Ok(small) => small,
             Err(error) => {
                 return Err(Fault { header: Some(Box::new(header)), ..Fault::from(error) });
@@ -261,8 +260,7 @@ impl<'a> Assessor<'a> {
         if (ratio - 1.0).abs() >= 0.01 {
             return None;
         }
-        let file = |preparation: &Preparation| preparation.file(Kind::GroundTruth, index);
-        let (_, prepared) = self.small(entry, &header, file).ok()?;
+        let (_, prepared) = self.small(entry, &header, (Kind::GroundTruth, index)).ok()?;
         Some(prepared.unwrap_or_else(PreparedImage::none))
     }
 }

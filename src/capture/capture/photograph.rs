@@ -17,6 +17,7 @@ pub struct CaptureView {
     /// The owner's path below the folder of the photographs, never a path on this machine.
     pub path: PhotoPath,
     /// The original, which the pipeline does not read.
+    #[serde(with = "crate::path_serde")]
     pub file: PathBuf,
     /// The image that the pipeline reads instead.
     pub prepared: PreparedImage,

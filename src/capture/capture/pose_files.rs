@@ -32,11 +32,11 @@ pub(super) const POSE_FILES: [&str; 11] = [
 #[serde(rename_all = "snake_case")]
 pub enum GivenPosesFile {
     /// The folder of a COLMAP model: `cameras`, `images` and `points3D`, as text or binary.
-    ColmapModel(PathBuf),
+    ColmapModel(#[serde(with = "crate::path_serde")] PathBuf),
     /// NeRF's `transforms.json`.
-    Transforms(PathBuf),
+    Transforms(#[serde(with = "crate::path_serde")] PathBuf),
     /// LLFF's `poses_bounds.npy`.
-    PosesBounds(PathBuf),
+    PosesBounds(#[serde(with = "crate::path_serde")] PathBuf),
 }
 
 impl GivenPosesFile {

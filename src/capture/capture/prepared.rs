@@ -26,7 +26,11 @@ const HEADER: usize = 8;
 /// A photograph, upright, in linear light of sRGB primaries; 1 is the file's white.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PreparedImage {
-    file: PathBuf,
+    /// Where the file is: the folder of the manifest, which may be moved.
+    #[serde(skip)]
+    folder: PathBuf,
+    /// The file's name.
+    file: String,
     /// Width, px.
     pub width: usize,
     /// Height, px.
@@ -34,11 +38,11 @@ pub struct PreparedImage {
 }
 
 impl PreparedImage {
-    /// Writes an image to `file`.
+    /// Writes an image to `path`, whose name is UTF-8.
     ///
     /// # Errors
     /// Whatever the file system says.
-    pub fn write(image: &Image<Linear>, file: PathBuf) -> io::Result<Self> {
+    pub fn write(image: &Image<Linear>, path: &Path) -> io::Result<Self> {
         let mut bytes = Vec::with_capacity(HEADER + 2 * image.data().len());
         for length in [image.width(), image.height()] {
             bytes.extend((length as u32).to_le_bytes());
@@ -48,8 +52,10 @@ impl PreparedImage {
             halves.convert_from_f32_slice(row);
             bytes.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
         }
-        fs::write(&file, bytes)?;
-        Ok(Self { file, width: image.width(), height: image.height() })
+        fs::write(path, bytes)?;
+        let folder = path.parent().unwrap_or(path).to_owned();
+        let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok(Self { folder, file, width: image.width(), height: image.height() })
     }
 
     /// Reads the image at its own size.
@@ -57,12 +63,13 @@ impl PreparedImage {
     /// # Errors
     /// [`ImageError::Io`]; [`ImageError::Damaged`] for a file of another size.
     pub fn load(&self) -> Result<Image<Linear>, ImageError> {
-        let io = |source| ImageError::Io { path: self.file.clone(), source };
-        let bytes = fs::read(&self.file).map_err(io)?;
+        let path = self.path();
+        let io = |source| ImageError::Io { path: path.clone(), source };
+        let bytes = fs::read(&path).map_err(io)?;
         let mut image = Image::new(self.width, self.height);
         let size = [self.width, self.height].map(|length| (length as u32).to_le_bytes()).concat();
         if bytes.len() != HEADER + 2 * image.data().len() || !bytes.starts_with(&size) {
-            let message = format!("{} is not a whole prepared image", self.file.display());
+            let message = format!("{} is not a whole prepared image", path.display());
             return Err(ImageError::Damaged { message });
         }
         let mut halves = vec![f16::ZERO; self.width];
@@ -107,18 +114,28 @@ impl PreparedImage {
 
     /// Stands for an image that was not kept.
     pub fn none() -> Self {
-        Self { file: PathBuf::new(), width: 0, height: 0 }
+        Self { folder: PathBuf::new(), file: String::new(), width: 0, height: 0 }
     }
 
-    /// Whether the file is in this folder and has the size of the image.
-    pub(super) fn is_whole_in(&self, folder: &Path) -> bool {
+    /// Finds the image in this folder.
+    pub(super) fn place_in(&mut self, folder: &Path) {
+        self.folder = folder.to_owned();
+    }
+
+    /// Whether the file is there and has the size of the image.
+    pub(super) fn is_whole(&self) -> bool {
         let bytes = (HEADER + 6 * self.width * self.height) as u64;
-        self.file.parent() == Some(folder)
-            && self.file.metadata().is_ok_and(|metadata| metadata.len() == bytes)
+        // A manifest may come from elsewhere: its names are names, not paths.
+        let is_name = !self.file.contains(['/', '\\']);
+        is_name && self.path().metadata().is_ok_and(|metadata| metadata.len() == bytes)
     }
 
     pub(super) fn remove(&self) {
         // A leftover file does no harm: the manifest does not name it.
-        let _ = fs::remove_file(&self.file);
+        let _ = fs::remove_file(self.path());
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.join(&self.file)
     }
 }

@@ -54,7 +54,20 @@ fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, name: &str, bytes: &[u8]) {
     writer.write_all(bytes).expect("packed");
 }
 
-/// Opens a zip of these bytes; returns the outcome and the files left afterwards.
+/// Whether the prepared image of a view is that of this file.
+fn shows(view: &CaptureView, file: &[u8]) -> bool {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("picture");
+    fs::write(&path, file).expect("written");
+    let image = Image::load_light(&path, PREPARED_SIDE).expect("a picture");
+    let prepared = view.prepared.load().expect("prepared");
+    let (width, height) = (image.width(), image.height());
+    let pairs = || image.data().iter().zip(prepared.data());
+    (prepared.width(), prepared.height()) == (width, height)
+        && pairs().all(|(a, b)| (a - b).abs() <= a.abs() / 1024.0 + 1e-6)
+}
+
+/// Opens a zip of these bytes; returns the outcome, and the zip and the files unpacked from it.
 fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("capture.zip");
@@ -62,6 +75,10 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let scratch = folder.path().join("scratch");
     fs::create_dir(&scratch).expect("made");
     let outcome = Capture::open(&path, &scratch);
+    assert!(!scratch.join("prepared/.unpacked").exists());
+    if outcome.is_ok() {
+        archive::unpack(&path, &folder.path().join("unpacked")).expect("unpacked before");
+    }
     let is_prepared = |path: &&PhotoPath| path.as_str().starts_with("scratch/prepared/");
     let left = entries::of_folder(folder.path()).expect("listed");
     let left = left.iter().map(|entry| &entry.path);

@@ -37,7 +37,7 @@ fn photograph(name: String, path: &str, file: PathBuf) -> CaptureView {
     CaptureView {
         name,
         path: PhotoPath::new(path),
-        prepared: PreparedImage::write(&image.to_linear(), file.with_extension("half")).unwrap(),
+        prepared: PreparedImage::write(&image.to_linear(), &file.with_extension("half")).unwrap(),
         file,
         width: 40,
         height: 30,

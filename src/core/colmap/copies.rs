@@ -218,8 +218,8 @@ mod tests {
     fn a_copy_has_its_planned_size_although_the_prepared_image_was_rounded_too() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let image = Image::<Linear>::new(1_538, 2_048).map(|_| 0.1);
-        let prepared = PreparedImage::write(&image, folder.path().join("a.half"));
-        let mask = PreparedImage::write(&image.map(|_| 1.0), folder.path().join("mask.half"));
+        let prepared = PreparedImage::write(&image, &folder.path().join("a.half"));
+        let mask = PreparedImage::write(&image.map(|_| 1.0), &folder.path().join("mask.half"));
         let view = PoseView {
             name: "a".to_owned(),
             path: PhotoPath::new("a.png"),

@@ -55,7 +55,7 @@ impl Scene {
         image.data_mut().fill(0.1);
         let file = dir.path().join("photograph.png");
         image.save(&file).unwrap();
-        let prepared = PreparedImage::write(&image.to_linear(), file.with_extension("half"));
+        let prepared = PreparedImage::write(&image.to_linear(), &file.with_extension("half"));
         let prepared = prepared.unwrap();
         let view = |i| PoseView {
             name: format!("view{i}"),
@@ -272,7 +272,7 @@ fn colmap_gets_the_masks_of_the_photographs() {
     let mut scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
     let mut picture: Image<Linear> = Image::new(24, 16);
     (0..24 * 16).filter(|i| i % 24 >= 12).for_each(|i| picture.set(i % 24, i / 24, [1.0; 3]));
-    let mask = PreparedImage::write(&picture, scene.dir.path().join("mask.half")).unwrap();
+    let mask = PreparedImage::write(&picture, &scene.dir.path().join("mask.half")).unwrap();
     assert!(scene.poses().is_ok() && !scene.log().contains("mask_path /"));
     scene.views[3].mask = Some(mask);
     scene.poses().unwrap();

@@ -7,7 +7,6 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::error::PipelineError;
-use crate::capture::Capture;
 use crate::image::write_atomic;
 use crate::run_folder::RunFolder;
 
@@ -50,7 +49,7 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn discard_prepared(&self) -> Result<(), PipelineError> {
-        let folder = Capture::prepared(&self.folder.work().capture());
+        let folder = self.folder.work().prepared();
         match fs::remove_dir_all(&folder) {
             Err(e) if e.kind() != io::ErrorKind::NotFound => Err(PipelineError::io(&folder, e)),
             _ => Ok(()),

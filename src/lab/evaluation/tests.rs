@@ -75,7 +75,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         let file = folder.join(format!("{}.png", named.name));
         let photograph = photograph.expect("renders");
         photograph.save(&file).expect("saves");
-        let prepared = PreparedImage::write(&photograph.to_linear(), file.with_extension("half"));
+        let prepared = PreparedImage::write(&photograph.to_linear(), &file.with_extension("half"));
         let view = CaptureView {
             name: named.name.clone(),
             path: PhotoPath::new(&format!("{}.png", named.name)),

@@ -65,7 +65,7 @@ impl Stored {
             let orientation = orientations[index % orientations.len()];
             write_png(&file, orientation, size, &vec![90; size.0 * size.1]);
             let image = Image::load_light(&file, PREPARED_SIDE).unwrap();
-            let prepared = PreparedImage::write(&image, file.with_extension("half")).unwrap();
+            let prepared = PreparedImage::write(&image, &file.with_extension("half")).unwrap();
             CaptureView {
                 path: PhotoPath::new(&format!("{name}.png")),
                 name,

@@ -80,7 +80,7 @@ fn copy(
     }
     let scale = image.width() as f64 / view.original.0 as f64;
     let path = file.clone();
-    let prepared = PreparedImage::write(&deblurred.to_linear(), file)
+    let prepared = PreparedImage::write(&deblurred.to_linear(), &file)
         .map_err(|source| PipelineError::Io { path, source })?;
     Ok(PoseView {
         name: view.name.clone(),
