@@ -4,26 +4,24 @@
 //! Each is written sequentially, so a caller can stream it while it is being made. Missing inputs
 //! are reported before that.
 
+mod archive;
+mod cameras;
 mod error;
 
-use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 
-use zip::ZipWriter;
-use zip::write::{SimpleFileOptions, StreamWriter};
+use archive::{Archive, Picture, pictures};
+use serde_json::Value;
 
 use crate::camera::NamedCamera;
-use crate::gaussians::ply::{self, Scene};
+use crate::gaussians::ply::{self, Extent, Scene};
 use crate::gaussians::{Y00, compressed, glb, sog, spz};
 use crate::poses::model::SparseModel;
-use crate::run_folder::{RoundPictures, RunFolder};
+use crate::run_folder::RunFolder;
 
 pub use error::ExportError;
-
-/// Compression level: pictures are already compressed, so the fastest is as good as the best.
-const LEVEL: i64 = 1;
 
 /// Approximate compressed size of a camera or a point in a COLMAP model, bytes.
 const ROW: u64 = 40;
@@ -35,6 +33,10 @@ pub enum Export {
     Restored,
     /// The restored views and a COLMAP model of the corrected cameras as a zip.
     Colmap,
+    /// The corrected cameras as nerfstudio's `transforms.json`.
+    Transforms,
+    /// The corrected cameras in the form of Inria's 3D Gaussian splatting.
+    InriaCameras,
     /// The scene as compressed PLY.
     CompressedScene,
     /// The scene as binary glTF.
@@ -49,9 +51,11 @@ pub enum Export {
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Restored,
         Self::Colmap,
+        Self::Transforms,
+        Self::InriaCameras,
         Self::CompressedScene,
         Self::Gltf,
         Self::SpzVersion3,
@@ -64,6 +68,8 @@ impl Export {
         match self {
             Self::Restored => "restored.zip",
             Self::Colmap => "colmap.zip",
+            Self::Transforms => "transforms.json",
+            Self::InriaCameras => "cameras.inria.json",
             Self::CompressedScene => "scene.compressed.ply",
             Self::Gltf => "scene.glb",
             Self::SpzVersion3 => "scene.v3.spz",
@@ -79,6 +85,13 @@ impl Export {
             Self::Colmap => {
                 "The restored views with their corrected cameras and points of the scene, as a \
                  COLMAP model for other trainers."
+            }
+            Self::Transforms => {
+                "The corrected cameras for nerfstudio, beside restored/ and scene.ply of the result."
+            }
+            Self::InriaCameras => {
+                "The corrected cameras for viewers that expect Inria's cameras.json beside \
+                 scene.ply, such as SuperSplat."
             }
             Self::CompressedScene => {
                 "The scene at a quarter of its size or less, rounded too little to be visible, for \
@@ -112,11 +125,12 @@ impl Export {
         Ok(Prepared(match self {
             Self::Restored => Content::Pictures(pictures(run, round)?),
             Self::Colmap => {
-                let cameras = cameras(run, round)?;
-                let views = with_pictures(&cameras, pictures(run, round)?)?;
-                let (gaussians, _) = ply::read_extent(&scene)?;
+                let views = cameras::views(run, round)?;
+                let gaussians = ply::read_extent(&scene)?.gaussians;
                 Content::Colmap { views, scene, gaussians }
             }
+            Self::Transforms => Content::json(&cameras::transforms(run, round)?),
+            Self::InriaCameras => Content::json(&cameras::inria(run, round)?),
             Self::CompressedScene => {
                 Content::scene(scene, compressed::bytes_of, compressed::write_to)?
             }
@@ -140,20 +154,12 @@ impl FromStr for Export {
     }
 }
 
-/// A picture on disk.
-#[derive(Debug)]
-struct Picture {
-    path: PathBuf,
-    /// Without folders.
-    file_name: String,
-    bytes: u64,
-}
-
 #[derive(Debug)]
 enum Content {
     Pictures(Vec<Picture>),
     Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
     Scene { scene: PathBuf, bytes: u64, write_to: WriteScene },
+    Text(String),
 }
 
 /// Writes a scene in some format.
@@ -166,8 +172,12 @@ impl Content {
         bytes_of: fn(usize, u32) -> u64,
         write_to: WriteScene,
     ) -> Result<Self, ExportError> {
-        let (gaussians, sh_degree) = ply::read_extent(&scene)?;
+        let Extent { gaussians, sh_degree, .. } = ply::read_extent(&scene)?;
         Ok(Self::Scene { bytes: bytes_of(gaussians, sh_degree), scene, write_to })
+    }
+
+    fn json(document: &Value) -> Self {
+        Self::Text(format!("{document:#}\n"))
     }
 }
 
@@ -185,6 +195,7 @@ impl Prepared {
                 pictures + ROW * (views.len() + gaussians) as u64
             }
             Content::Scene { bytes, .. } => *bytes,
+            Content::Text(text) => text.len() as u64,
         }
     }
 
@@ -192,7 +203,7 @@ impl Prepared {
     ///
     /// # Errors
     /// [`ExportError`]; the output is incomplete then.
-    pub fn write(&self, out: impl Write) -> Result<(), ExportError> {
+    pub fn write(&self, mut out: impl Write) -> Result<(), ExportError> {
         match &self.0 {
             Content::Pictures(pictures) => {
                 let mut archive = Archive::new(out);
@@ -221,93 +232,12 @@ impl Prepared {
                 let mut out = io::BufWriter::new(out);
                 write_to(&ply::read(scene)?, &mut out).map_err(ExportError::Write)
             }
+            Content::Text(text) => {
+                let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
+                written.map_err(ExportError::Write)
+            }
         }
     }
-}
-
-/// A zip whose entries are compressed while streaming.
-struct Archive<W: Write>(ZipWriter<StreamWriter<W>>);
-
-impl<W: Write> Archive<W> {
-    fn new(out: W) -> Self {
-        Self(ZipWriter::new_stream(out))
-    }
-
-    fn entry(&mut self, name: &str, content: &mut impl io::Read) -> Result<(), ExportError> {
-        // Compressed although pictures gain nothing: readers that cannot seek do not find the end
-        // of an uncompressed entry.
-        let options = SimpleFileOptions::default().compression_level(Some(LEVEL));
-        let begun = self.0.start_file(name, options).map_err(io::Error::from);
-        begun.and_then(|()| io::copy(content, &mut self.0)).map_err(ExportError::Write)?;
-        Ok(())
-    }
-
-    fn picture(&mut self, folder: &str, picture: &Picture) -> Result<(), ExportError> {
-        let mut file = File::open(&picture.path).map_err(ExportError::io(&picture.path))?;
-        self.entry(&format!("{folder}{}", picture.file_name), &mut file)
-    }
-
-    fn finish(self) -> Result<(), ExportError> {
-        let finished = self.0.finish().map_err(io::Error::from);
-        let mut out = finished.map_err(ExportError::Write)?.into_inner();
-        out.flush().map_err(ExportError::Write)
-    }
-}
-
-/// The restored views, or the renders of a round, by name.
-fn pictures(run: &RunFolder, round: Option<u32>) -> Result<Vec<Picture>, ExportError> {
-    let folder = match round {
-        Some(round) => run.round(round).pictures(RoundPictures::Renders),
-        None => run.restored(),
-    };
-    let mut pictures = Vec::new();
-    for entry in fs::read_dir(&folder).map_err(ExportError::io(&folder))? {
-        let entry = entry.map_err(ExportError::io(&folder))?;
-        let path = entry.path();
-        let about = entry.metadata().map_err(ExportError::io(&path))?;
-        let Ok(file_name) = entry.file_name().into_string() else {
-            continue;
-        };
-        // Names of files being written begin with a dot.
-        if about.is_file() && !file_name.starts_with('.') {
-            pictures.push(Picture { path, file_name, bytes: about.len() });
-        }
-    }
-    pictures.sort_by(|a, b| a.file_name.cmp(&b.file_name));
-    if pictures.is_empty() {
-        return Err(ExportError::NoPictures(folder));
-    }
-    Ok(pictures)
-}
-
-fn cameras(run: &RunFolder, round: Option<u32>) -> Result<Vec<NamedCamera>, ExportError> {
-    let path = match round {
-        Some(round) => run.round(round).cameras(),
-        None => run.cameras(),
-    };
-    let text = fs::read(&path).map_err(ExportError::io(&path))?;
-    serde_json::from_slice(&text).map_err(|source| ExportError::Cameras { path, source })
-}
-
-/// Each camera with its view's picture; a view without one is useless for training.
-fn with_pictures(
-    cameras: &[NamedCamera],
-    pictures: Vec<Picture>,
-) -> Result<Vec<(NamedCamera, Picture)>, ExportError> {
-    let folder = pictures.first().and_then(|picture| picture.path.parent());
-    let folder = folder.map(Path::to_owned).unwrap_or_default();
-    let mut views = Vec::with_capacity(pictures.len());
-    for picture in pictures {
-        let stem = picture.path.file_stem().unwrap_or_default();
-        let camera = cameras.iter().find(|camera| stem == camera.name.as_str());
-        if let Some(camera) = camera {
-            views.push((camera.clone(), picture));
-        }
-    }
-    if views.is_empty() {
-        return Err(ExportError::NoPictures(folder));
-    }
-    Ok(views)
 }
 
 /// The centres of Gaussians more opaque than not, with their base colour.

@@ -101,7 +101,8 @@ both("exports for other programs are downloaded from the page", async (width) =>
   const id = await finished(`exported ${width}`);
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Export");
-    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat",
+    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "transforms.json": "{", "cameras.inria.json": "[",
+      "scene.compressed.ply": "ply\nformat",
       "scene.glb": "glTF", "scene.v3.spz": "\x1f\ufffd", "scene.spz": "NGSP",
       "scene.sog": "PK" };
     for (const [name, begin] of Object.entries(begins)) {

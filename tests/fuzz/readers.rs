@@ -53,7 +53,7 @@ pub fn ply(bytes: &[u8]) {
     let path = written("scene.ply", bytes);
     let extent = ply::read_extent(&path);
     if let Ok(scene) = ply::read(&path) {
-        assert_eq!(extent.ok().map(|(count, _)| count), Some(scene.gaussians.len()));
+        assert_eq!(extent.ok().map(|extent| extent.gaussians), Some(scene.gaussians.len()));
     }
 }
 

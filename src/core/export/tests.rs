@@ -1,4 +1,7 @@
+mod cameras;
+
 use std::borrow::Cow;
+use std::fs;
 use std::io::{Cursor, Read};
 
 use glam::DVec3;
@@ -11,6 +14,7 @@ use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, Intrinsics, Split};
 use crate::gaussians::Gaussians;
 use crate::image::Image;
+use crate::run_folder::RoundPictures;
 
 /// A result of three views, of one round, with two solid Gaussians and a faint one.
 fn result() -> (TempDir, RunFolder) {
@@ -107,7 +111,7 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
     archive.extract(out.path()).expect("extracted");
     let model = SparseModel::read(&out.path().join("sparse/0")).expect("a model");
     assert_eq!(model.cameras.len(), 2, "views of one lens share a camera");
-    let cameras = cameras(&run, None).expect("cameras");
+    let cameras = super::cameras::cameras(&run, None).expect("cameras");
     assert_eq!(model.images.len(), 3, "a view without a picture is left out");
     for (image, own) in model.images.iter().zip(&cameras) {
         assert_eq!(image.name, format!("{}.png", own.name));

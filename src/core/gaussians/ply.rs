@@ -151,17 +151,28 @@ pub fn read(path: &Path) -> Result<Scene, PlyError> {
     })
 }
 
-/// The number of Gaussians in a scene's file and the degree of their harmonics, from its header.
+/// What a scene's header says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extent {
+    /// Number of Gaussians.
+    pub gaussians: usize,
+    /// Degree of their harmonics.
+    pub sh_degree: u32,
+    /// From the world of the poses to the training world.
+    pub normalisation: Normalisation,
+}
+
+/// Reads only the header of a scene.
 ///
 /// # Errors
 /// As [`read`].
-pub fn read_extent(path: &Path) -> Result<(usize, u32), PlyError> {
+pub fn read_extent(path: &Path) -> Result<Extent, PlyError> {
     let fault = |source| PlyError::Io { path: path.to_owned(), source };
     let format = |message: String| PlyError::Format { path: path.to_owned(), message };
     let mut file = BufReader::new(File::open(path).map_err(fault)?);
     let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
-    let degree = header.sh_degree().map_err(format)?;
-    Ok((header.count, degree as u32))
+    let sh_degree = header.sh_degree().map_err(format)? as u32;
+    Ok(Extent { gaussians: header.count, sh_degree, normalisation: header.normalisation })
 }
 
 /// The vertex element of a PLY header.

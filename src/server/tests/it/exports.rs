@@ -8,9 +8,11 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 7] = [
+const FORMS: [&str; 9] = [
     "restored.zip",
     "colmap.zip",
+    "transforms.json",
+    "cameras.inria.json",
     "scene.compressed.ply",
     "scene.glb",
     "scene.v3.spz",
