@@ -91,8 +91,9 @@ test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/v
 	cd training && $(or $(TORCH),venv/bin/python) -m unittest torch_tests
 
 # FLED=PROGRAM judges that one and builds none.
-test-peers: setup onnxruntime matcher venv $(if $(FLED),,build) ## scene.ply and exports judged by software that is not ours, under .peers/
-	$(VENV) tools/peers.py $(if $(FLED),--fled $(FLED))
+test-peers: setup onnxruntime matcher $(if $(FLED),,build) ## scene.ply and exports judged by software that is not ours, under .peers/
+	@$(PYTHON) tools/environment.py .peers/venv tools/peers-requirements.txt
+	.peers/venv/bin/python tools/peers.py $(if $(FLED),--fled $(FLED))
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
 	$(CARGO) test --release --locked -p fled-tidy

@@ -55,6 +55,35 @@ def of_three(text):
     }
 
 
+def of_usd(path):
+    """The Gaussians of the only ParticleField3DGaussianSplat in a USD file, in the world with y up, and their offset."""
+    from pxr import Usd, UsdGeom, UsdVol
+
+    stage = Usd.Stage.Open(str(path))
+    found = [prim for prim in stage.Traverse() if prim.IsA(UsdVol.ParticleField3DGaussianSplat)]
+    if len(found) != 1 or not found[0].IsDefined() or UsdGeom.GetStageUpAxis(stage) != UsdGeom.Tokens.y:
+        raise SystemExit(f"{path} holds {len(found)} splats, up is {UsdGeom.GetStageUpAxis(stage)}")
+    schema = found[0].GetPrimDefinition()
+    foreign = [a.GetName() for a in found[0].GetAuthoredAttributes() if a.GetName() not in schema.GetPropertyNames()]
+    if foreign:
+        raise SystemExit(f"{path}: the schema has no attributes {foreign}")
+    own = {a.GetName(): a.Get() for a in found[0].GetAuthoredAttributes()}
+    positions = np.array(own["positions"], dtype=float)
+    coefficients = (own["radiance:sphericalHarmonicsDegree"] + 1) ** 2
+    sh = np.array(own["radiance:sphericalHarmonicsCoefficients"], dtype=float).reshape(len(positions), coefficients, 3)
+    rotations = np.array([[q.GetReal(), *q.GetImaginary()] for q in own["orientations"]])
+    extent = np.array(own["extent"], dtype=float)
+    if not ((positions > extent[0]) & (positions < extent[1])).all():
+        raise SystemExit(f"{path}: Gaussians outside of the extent {extent.tolist()}")
+    return {
+        "position": positions,
+        "covariance": covariances(rotations, np.array(own["scales"], dtype=float)),
+        "colour": 0.5 + Y00 * sh[:, 0],
+        "opacity": np.array(own["opacities"], dtype=float)[:, None],
+        "harmonics": sh[:, 1:],
+    }, np.array(UsdGeom.XformCache().GetLocalToWorldTransform(found[0]))[3, :3]
+
+
 def y_up(scene):
     """The same Gaussians after half a turn about x."""
     signs = np.ones(scene["harmonics"].shape[1])

@@ -36,6 +36,7 @@ SLACK = {"opacity": 0.004, "f_rest_": 0.0157}
 SPZ = {"position": 1e-6, "size": 0.032, "shape": 0.06, "colour": 0.006, "opacity": 0.003, "harmonics": 0.063}
 TOLERANCES = {
     "scene.glb": {"position": 1e-5, "size": 0.01, "shape": 0.01, "colour": 0.003, "opacity": 0.003, "harmonics": 0.006},
+    "scene.usda": {"position": 1e-6, "size": 1e-5, "shape": 1e-6, "colour": 1e-6, "opacity": 1e-6, "harmonics": 1e-6},
     "scene.v3.spz": SPZ,
     "scene.spz": SPZ,
     "scene.sog": {"position": 1e-4, "size": 0.06, "shape": 0.05, "colour": 0.01, "opacity": 0.003, "harmonics": 0.5},
@@ -203,6 +204,16 @@ def judge_converted(program, folder, name, ours):
     judged("splat-transform", file, name, ours, formats.of_ply(read))
 
 
+def judge_usd(fled, folder):
+    """Compares the USD file read by usd-core, as attributes of its schema, with the numbers of the scene."""
+    file = folder.with_name(f"{folder.name}.scene.usda")
+    run([fled, "export", folder, "scene.usda", "-o", file])
+    theirs, offset = formats.of_usd(file)
+    if offset.any():
+        raise SystemExit(f"{file} has the offset {offset}, scene.ply has none")
+    judged("usd-core", file, "scene.usda", formats.y_up(formats.of_ply(folder / "scene.ply")), theirs)
+
+
 def judged(who, file, name, ours, theirs):
     """Says how far apart both are, and fails if that is too far."""
     apart = formats.differences(ours, theirs)
@@ -233,6 +244,7 @@ def main():
         judge_by_splat_transform(program, folder, expected)
         judge_compressed(program, fled, folder, expected)
         judge_by_three(fled, folder, "scene.glb")
+        judge_usd(fled, folder)
         for name in ("scene.v3.spz", "scene.spz"):
             judge_by_three(fled, folder, name)
             judge_converted(program, folder, name, formats.of_ply(folder / "scene.ply"))

@@ -17,7 +17,7 @@ use serde_json::Value;
 
 use crate::camera::NamedCamera;
 use crate::gaussians::ply::{self, Extent, Scene};
-use crate::gaussians::{Y00, compressed, glb, sog, spz};
+use crate::gaussians::{Y00, compressed, glb, sog, spz, usd};
 use crate::poses::model::SparseModel;
 use crate::run_folder::RunFolder;
 
@@ -41,6 +41,8 @@ pub enum Export {
     CompressedScene,
     /// The scene as binary glTF.
     Gltf,
+    /// The scene as OpenUSD text.
+    Usd,
     /// The scene as SPZ, compressed by gzip.
     SpzVersion3,
     /// The scene as SPZ, compressed by Zstandard.
@@ -51,13 +53,14 @@ pub enum Export {
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Restored,
         Self::Colmap,
         Self::Transforms,
         Self::InriaCameras,
         Self::CompressedScene,
         Self::Gltf,
+        Self::Usd,
         Self::SpzVersion3,
         Self::Spz,
         Self::Sog,
@@ -72,6 +75,7 @@ impl Export {
             Self::InriaCameras => "cameras.inria.json",
             Self::CompressedScene => "scene.compressed.ply",
             Self::Gltf => "scene.glb",
+            Self::Usd => "scene.usda",
             Self::SpzVersion3 => "scene.v3.spz",
             Self::Spz => "scene.spz",
             Self::Sog => "scene.sog",
@@ -100,6 +104,10 @@ impl Export {
             Self::Gltf => {
                 "The scene as binary glTF, unrounded, for three.js, Babylon.js, Cesium and other \
                  programs that read glTF."
+            }
+            Self::Usd => {
+                "The scene as OpenUSD text, unrounded, for programs with OpenUSD 26.03 or newer; \
+                 larger than PLY."
             }
             Self::SpzVersion3 => {
                 "The scene at a sixth of its size, as SPZ version 3, for Spark, Babylon.js, \
@@ -135,6 +143,7 @@ impl Export {
                 Content::scene(scene, compressed::bytes_of, compressed::write_to)?
             }
             Self::Gltf => Content::scene(scene, glb::bytes_of, glb::write_to)?,
+            Self::Usd => Content::scene(scene, usd::bytes_of, usd::write_to)?,
             Self::SpzVersion3 => Content::scene(scene, spz::bytes_of, spz::write_version_3)?,
             Self::Spz => Content::scene(scene, spz::bytes_of, spz::write_version_4)?,
             Self::Sog => Content::scene(scene, sog::bytes_of, sog::write_to)?,

@@ -5,6 +5,7 @@ pub mod glb;
 pub mod ply;
 pub mod sog;
 pub mod spz;
+pub mod usd;
 
 use glam::DVec3;
 

@@ -178,6 +178,7 @@ fn media_type(export: Export) -> &'static str {
         Export::Restored | Export::Colmap | Export::Sog => "application/zip",
         Export::CompressedScene | Export::SpzVersion3 | Export::Spz => "application/octet-stream",
         Export::Gltf => "model/gltf-binary",
+        Export::Usd => "model/vnd.usda",
         Export::Transforms | Export::InriaCameras => "application/json",
     }
 }

@@ -8,13 +8,14 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 9] = [
+const FORMS: [&str; 10] = [
     "restored.zip",
     "colmap.zip",
     "transforms.json",
     "cameras.inria.json",
     "scene.compressed.ply",
     "scene.glb",
+    "scene.usda",
     "scene.v3.spz",
     "scene.spz",
     "scene.sog",
