@@ -7,9 +7,11 @@
 mod archive;
 mod cameras;
 mod error;
+mod trim;
 
+use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use archive::{Archive, Picture, pictures};
@@ -22,6 +24,7 @@ use crate::poses::model::SparseModel;
 use crate::run_folder::RunFolder;
 
 pub use error::ExportError;
+pub use trim::{Crop, MOST_SH_DEGREE, Middle, Trim};
 
 /// Approximate compressed size of a camera or a point in a COLMAP model, bytes.
 const ROW: u64 = 40;
@@ -37,6 +40,8 @@ pub enum Export {
     Transforms,
     /// The corrected cameras in the form of Inria's 3D Gaussian splatting.
     InriaCameras,
+    /// The scene as PLY, in the layout of 3DGS.
+    Ply,
     /// The scene as compressed PLY.
     CompressedScene,
     /// The scene as binary glTF.
@@ -53,11 +58,12 @@ pub enum Export {
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Restored,
         Self::Colmap,
         Self::Transforms,
         Self::InriaCameras,
+        Self::Ply,
         Self::CompressedScene,
         Self::Gltf,
         Self::Usd,
@@ -73,6 +79,7 @@ impl Export {
             Self::Colmap => "colmap.zip",
             Self::Transforms => "transforms.json",
             Self::InriaCameras => "cameras.inria.json",
+            Self::Ply => "scene.ply",
             Self::CompressedScene => "scene.compressed.ply",
             Self::Gltf => "scene.glb",
             Self::Usd => "scene.usda",
@@ -97,6 +104,7 @@ impl Export {
                 "The corrected cameras for viewers that expect Inria's cameras.json beside \
                  scene.ply, such as SuperSplat."
             }
+            Self::Ply => "The scene as it was trained, unrounded, for nearly all programs.",
             Self::CompressedScene => {
                 "The scene at a quarter of its size or less, rounded too little to be visible, for \
                  SuperSplat, PlayCanvas and other viewers."
@@ -124,29 +132,42 @@ impl Export {
         }
     }
 
-    /// Finds its inputs, of the delivered round or of a finished one.
+    /// Finds its inputs, of the delivered round or of a finished one. A trimmed scene is read and
+    /// held in memory.
     ///
     /// # Errors
-    /// [`ExportError`] if they are missing or unreadable.
-    pub fn prepare(self, run: &RunFolder, round: Option<u32>) -> Result<Prepared, ExportError> {
-        let scene = run.scene_of(round);
+    /// [`ExportError`] if they are missing or unreadable, or if the trim leaves nothing or this
+    /// format has no scene to trim.
+    pub fn prepare(
+        self,
+        run: &RunFolder,
+        round: Option<u32>,
+        trim: Trim,
+    ) -> Result<Prepared, ExportError> {
+        let path = run.scene_of(round);
+        let scene = |bytes_of, write_to| Content::scene(&path, trim, bytes_of, write_to);
         Ok(Prepared(match self {
+            Self::Restored | Self::Colmap | Self::Transforms | Self::InriaCameras
+                if !trim.is_nothing() =>
+            {
+                return Err(ExportError::NotTrimmed(self.name()));
+            }
             Self::Restored => Content::Pictures(pictures(run, round)?),
             Self::Colmap => {
                 let views = cameras::views(run, round)?;
-                let gaussians = ply::read_extent(&scene)?.gaussians;
-                Content::Colmap { views, scene, gaussians }
+                let gaussians = ply::read_extent(&path)?.gaussians;
+                Content::Colmap { views, scene: path, gaussians }
             }
             Self::Transforms => Content::json(&cameras::transforms(run, round)?),
             Self::InriaCameras => Content::json(&cameras::inria(run, round)?),
-            Self::CompressedScene => {
-                Content::scene(scene, compressed::bytes_of, compressed::write_to)?
-            }
-            Self::Gltf => Content::scene(scene, glb::bytes_of, glb::write_to)?,
-            Self::Usd => Content::scene(scene, usd::bytes_of, usd::write_to)?,
-            Self::SpzVersion3 => Content::scene(scene, spz::bytes_of, spz::write_version_3)?,
-            Self::Spz => Content::scene(scene, spz::bytes_of, spz::write_version_4)?,
-            Self::Sog => Content::scene(scene, sog::bytes_of, sog::write_to)?,
+            Self::Ply if trim.is_nothing() => Content::copy(path)?,
+            Self::Ply => scene(ply::bytes_of, ply::write_scene)?,
+            Self::CompressedScene => scene(compressed::bytes_of, compressed::write_to)?,
+            Self::Gltf => scene(glb::bytes_of, glb::write_to)?,
+            Self::Usd => scene(usd::bytes_of, usd::write_to)?,
+            Self::SpzVersion3 => scene(spz::bytes_of, spz::write_version_3)?,
+            Self::Spz => scene(spz::bytes_of, spz::write_version_4)?,
+            Self::Sog => scene(sog::bytes_of, sog::write_to)?,
         }))
     }
 }
@@ -167,8 +188,18 @@ impl FromStr for Export {
 enum Content {
     Pictures(Vec<Picture>),
     Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
-    Scene { scene: PathBuf, bytes: u64, write_to: WriteScene },
+    Scene { scene: Source, bytes: u64, write_to: WriteScene },
+    Copy { path: PathBuf, bytes: u64 },
     Text(String),
+}
+
+/// A scene to be written.
+#[derive(Debug)]
+enum Source {
+    /// As it is on disk.
+    File(PathBuf),
+    /// Trimmed.
+    Trimmed(Box<Scene>),
 }
 
 /// Writes a scene in some format.
@@ -177,12 +208,31 @@ type WriteScene = fn(&Scene, &mut dyn Write) -> io::Result<()>;
 impl Content {
     /// A scene in a format that has `bytes_of` a number of Gaussians and a degree.
     fn scene(
-        scene: PathBuf,
+        path: &Path,
+        trim: Trim,
         bytes_of: fn(usize, u32) -> u64,
         write_to: WriteScene,
     ) -> Result<Self, ExportError> {
-        let Extent { gaussians, sh_degree, .. } = ply::read_extent(&scene)?;
-        Ok(Self::Scene { bytes: bytes_of(gaussians, sh_degree), scene, write_to })
+        if trim.is_nothing() {
+            let Extent { gaussians, sh_degree, .. } = ply::read_extent(path)?;
+            let bytes = bytes_of(gaussians, sh_degree);
+            return Ok(Self::Scene { scene: Source::File(path.to_owned()), bytes, write_to });
+        }
+        let whole = ply::read(path)?;
+        let middle = Middle::of(&whole);
+        let left = trim.of(whole);
+        if let (true, Some(middle)) = (left.gaussians.is_empty(), middle) {
+            return Err(ExportError::NothingLeft(middle));
+        }
+        let bytes = bytes_of(left.gaussians.len(), left.gaussians.sh_degree);
+        Ok(Self::Scene { scene: Source::Trimmed(Box::new(left)), bytes, write_to })
+    }
+
+    /// The scene's own file.
+    fn copy(path: PathBuf) -> Result<Self, ExportError> {
+        ply::read_extent(&path)?;
+        let about = fs::metadata(&path).map_err(ExportError::io(&path))?;
+        Ok(Self::Copy { path, bytes: about.len() })
     }
 
     fn json(document: &Value) -> Self {
@@ -203,7 +253,7 @@ impl Prepared {
                 let pictures: u64 = views.iter().map(|(_, picture)| picture.bytes).sum();
                 pictures + ROW * (views.len() + gaussians) as u64
             }
-            Content::Scene { bytes, .. } => *bytes,
+            Content::Scene { bytes, .. } | Content::Copy { bytes, .. } => *bytes,
             Content::Text(text) => text.len() as u64,
         }
     }
@@ -239,7 +289,16 @@ impl Prepared {
             }
             Content::Scene { scene, write_to, .. } => {
                 let mut out = io::BufWriter::new(out);
-                write_to(&ply::read(scene)?, &mut out).map_err(ExportError::Write)
+                let written = match scene {
+                    Source::File(path) => write_to(&ply::read(path)?, &mut out),
+                    Source::Trimmed(scene) => write_to(scene, &mut out),
+                };
+                written.map_err(ExportError::Write)
+            }
+            Content::Copy { path, .. } => {
+                let mut file = File::open(path).map_err(ExportError::io(path))?;
+                let copied = io::copy(&mut file, &mut out).and_then(|_| out.flush());
+                copied.map_err(ExportError::Write)
             }
             Content::Text(text) => {
                 let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());

@@ -1,9 +1,9 @@
 //! `fled export`: a finished result in the formats of other programs.
 
 use std::fs::{self, File};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use fled_core::export::{Export, ExportError};
+use fled_core::export::{Crop, Export, ExportError, MOST_SH_DEGREE, Trim};
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;
 
@@ -22,6 +22,14 @@ pub struct Args {
     /// Exports this round instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
+    /// Keeps only the Gaussians in here: box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS, from
+    /// the middle, in the world of the poses.
+    #[arg(long, value_name = "SHAPE")]
+    crop: Option<Crop>,
+    /// Degree of the harmonics: cuts those of the scene or pads them with zeros.
+    #[arg(long, value_name = "N",
+        value_parser = clap::value_parser!(u32).range(0..=i64::from(MOST_SH_DEGREE)))]
+    sh_degree: Option<u32>,
 }
 
 fn forms() -> String {
@@ -34,9 +42,16 @@ fn forms() -> String {
 /// [`Failure`] if the run lacks the required files, or the file cannot be written.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let run = RunFolder::new(&args.run);
-    let prepared = args.export.prepare(&run, args.round)?;
+    let trim = Trim { crop: args.crop, sh_degree: args.sh_degree };
+    let prepared = args.export.prepare(&run, args.round, trim)?;
     let output = args.output.clone();
     let output = output.unwrap_or_else(|| args.export.name().into());
+    if is_of_run(&output, &run) {
+        return Err(Failure::usage(format!(
+            "{} is a file of the run itself: choose another with -o",
+            output.display()
+        )));
+    }
     let temporary = output.with_added_extension("tmp");
     let file = File::create(&temporary).map_err(io(&temporary))?;
     if let Err(error) = prepared.write(&file) {
@@ -45,6 +60,15 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         return Err(error.into());
     }
     fs::rename(&temporary, &output).map_err(io(&output))
+}
+
+/// Whether a path is that of a file that the run left.
+fn is_of_run(path: &Path, run: &RunFolder) -> bool {
+    let (Ok(path), Ok(root)) = (fs::canonicalize(path), fs::canonicalize(run.root())) else {
+        return false;
+    };
+    let below = path.strip_prefix(root).ok().and_then(Path::to_str);
+    below.is_some_and(RunFolder::is_left)
 }
 
 impl From<ExportError> for Failure {

@@ -102,7 +102,7 @@ both("exports for other programs are downloaded from the page", async (width) =>
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Export");
     const begins = { "restored.zip": "PK", "colmap.zip": "PK", "transforms.json": "{", "cameras.inria.json": "[",
-      "scene.compressed.ply": "ply\nformat",
+      "scene.ply": "ply\nformat", "scene.compressed.ply": "ply\nformat",
       "scene.glb": "glTF", "scene.usda": "#usda 1.0", "scene.v3.spz": "\x1f\ufffd", "scene.spz": "NGSP",
       "scene.sog": "PK" };
     for (const [name, begin] of Object.entries(begins)) {

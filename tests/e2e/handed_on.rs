@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
+use fled_core::gaussians::ply;
 use fled_core::poses::model::SparseModel;
 use serde_json::json;
 
@@ -69,6 +70,32 @@ fn a_finished_run_becomes_videos_and_exports() {
     assert_eq!(code(&output), 0, "{}", said(&output));
     let size = |path: &Path| path.metadata().expect("there").len();
     assert!(4 * size(&small) < size(&run.join("scene.ply")) + 4000);
+    let padded = folder.path().join("padded.ply");
+    let output = made(&["export", "scene.ply", "--sh-degree", "3"], &run, &padded);
+    assert_eq!(code(&output), 0, "{}", said(&output));
+    let gaussians = ply::read_extent(&run.join("scene.ply")).expect("a scene").gaussians;
+    let bytes = std::fs::read(&padded).expect("there");
+    let end = b"end_header\n";
+    let header = bytes.windows(end.len()).position(|words| words == end).expect("a header");
+    assert_eq!(bytes.len(), header + end.len() + 248 * gaussians);
+    let kept = |shape: &str| {
+        let output = made(&["export", "scene.ply", "--crop", shape], &run, &padded);
+        assert_eq!(code(&output), 0, "{}", said(&output));
+        ply::read_extent(&padded).expect("a scene").gaussians
+    };
+    let [some, all] = ["sphere:0,0,0,2", "box:0,0,0,1e9,1e9,1e9"].map(kept);
+    assert!(0 < some && some < all && all == gaussians, "{some} of {gaussians}");
+    for (arguments, fault) in [
+        (&["export", "scene.ply", "--crop", "sphere:1e6,0,0,1"][..], "the middle of the scene is"),
+        (&["export", "restored.zip", "--sh-degree", "1"], "restored.zip holds no scene"),
+    ] {
+        let output = made(arguments, &run, &padded);
+        assert_eq!(code(&output), 3, "{}", said(&output));
+        assert!(said(&output).contains(fault), "{}", said(&output));
+    }
+    let output = made(&["export", "scene.ply"], &run, &run.join("scene.ply"));
+    assert_eq!(code(&output), 2, "{}", said(&output));
+    assert!(said(&output).contains("a file of the run itself"), "{}", said(&output));
 }
 
 #[test]
@@ -87,6 +114,9 @@ fn impossible_videos_and_exports_explain_why() {
         &["video", "--orbit", "--cameras"],
         &["video", "--cameras", "--degrees", "9"],
         &["export", "scene.obj"],
+        &["export", "scene.ply", "--crop", "ball:0,0,0,1"],
+        &["export", "scene.ply", "--crop", "sphere:0,0,0,-1"],
+        &["export", "scene.ply", "--sh-degree", "4"],
     ] {
         let output = made(wrong, &nothing, &out);
         assert_eq!(code(&output), 2, "{wrong:?}: {}", said(&output));

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use super::Middle;
 use crate::gaussians::ply::PlyError;
 
 /// Why an export failed.
@@ -30,6 +31,15 @@ pub enum ExportError {
         /// The system's message.
         source: io::Error,
     },
+    /// A format without a scene cannot be trimmed.
+    #[error(
+        "{0} holds no scene: crop and degree of the harmonics are for scene.ply, scene.glb and \
+         the like"
+    )]
+    NotTrimmed(&'static str),
+    /// A crop leaves nothing.
+    #[error("no Gaussian's centre is inside the crop; the middle of the scene is at {0}")]
+    NothingLeft(Middle),
     /// The recipient accepts no more data.
     #[error("it cannot be written: {0}")]
     Write(io::Error),
@@ -39,6 +49,11 @@ impl ExportError {
     pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
         let path = path.to_owned();
         move |source| Self::Io { path, source }
+    }
+
+    /// Whether the wish cannot be met, whatever the result.
+    pub fn is_of_wish(&self) -> bool {
+        matches!(self, Self::NotTrimmed(_) | Self::NothingLeft(_))
     }
 
     /// Whether one of its inputs is missing.

@@ -1,4 +1,5 @@
 mod cameras;
+mod trims;
 
 use std::borrow::Cow;
 use std::fs;
@@ -55,7 +56,11 @@ fn result() -> (TempDir, RunFolder) {
 }
 
 fn written(export: Export, run: &RunFolder, round: Option<u32>) -> Vec<u8> {
-    let prepared = export.prepare(run, round).expect("it is there");
+    trimmed(export, run, round, Trim::default())
+}
+
+fn trimmed(export: Export, run: &RunFolder, round: Option<u32>, trim: Trim) -> Vec<u8> {
+    let prepared = export.prepare(run, round, trim).expect("it is there");
     let mut bytes = Vec::new();
     prepared.write(&mut bytes).expect("written");
     bytes
@@ -128,7 +133,7 @@ fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
 #[test]
 fn the_compressed_scene_has_the_announced_size() {
     let (_folder, run) = result();
-    let prepared = Export::CompressedScene.prepare(&run, Some(1)).expect("there");
+    let prepared = Export::CompressedScene.prepare(&run, Some(1), Trim::default()).expect("there");
     let bytes = written(Export::CompressedScene, &run, Some(1));
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);
@@ -140,12 +145,12 @@ fn the_compressed_scene_has_the_announced_size() {
 fn missing_inputs_are_reported_before_anything_is_written() {
     let (_folder, run) = result();
     for export in Export::ALL {
-        let error = export.prepare(&run, Some(2)).expect_err("no such round");
+        let error = export.prepare(&run, Some(2), Trim::default()).expect_err("no such round");
         assert!(error.is_missing(), "{error}");
         assert_eq!(export.name().parse(), Ok(export));
     }
     fs::write(run.cameras(), "[{").expect("written");
-    let error = Export::Colmap.prepare(&run, None).expect_err("damaged");
+    let error = Export::Colmap.prepare(&run, None, Trim::default()).expect_err("damaged");
     assert!(!error.is_missing() && error.to_string().contains("cameras.json"));
     let unknown = "scene.obj".parse::<Export>().expect_err("unknown");
     assert!(unknown.contains("scene.compressed.ply"), "{unknown}");

@@ -85,6 +85,20 @@ pub fn write(
     std::fs::rename(&temporary, path).map_err(fault)
 }
 
+/// Size of this many Gaussians in bytes, without the header.
+pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
+    let coefficients = ((sh_degree + 1) * (sh_degree + 1)) as usize;
+    (count * size_of::<f32>() * property_names(coefficients).len()) as u64
+}
+
+/// Writes a scene's bytes.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_scene(scene: &Scene, mut out: &mut dyn Write) -> std::io::Result<()> {
+    write_to(&scene.gaussians, &scene.normalisation, &mut out)
+}
+
 /// Writes the PLY's bytes.
 ///
 /// # Errors

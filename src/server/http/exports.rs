@@ -8,7 +8,7 @@ use axum::body::{Body, Bytes};
 use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::export::{Export, ExportError, Prepared};
+use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Prepared, Trim};
 use futures::stream::poll_fn;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
@@ -36,6 +36,40 @@ const RETRY: u32 = 10;
 pub struct ExportQuery {
     /// Round to use; by default the delivered one.
     round: Option<u32>,
+}
+
+/// Of what, and how much of it.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct DownloadQuery {
+    /// Round to use; by default the delivered one.
+    round: Option<u32>,
+    /// Keeps only the Gaussians of a scene whose centres are inside a shape:
+    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, from its middle, in the world of
+    /// the poses.
+    #[param(example = "sphere:0,0,2,3")]
+    crop: Option<String>,
+    /// Degree of a scene's harmonics: they are cut, or padded with zeros.
+    #[param(minimum = 0, maximum = 3)]
+    sh_degree: Option<u32>,
+}
+
+impl DownloadQuery {
+    fn trim(&self) -> Result<Trim, Problem> {
+        let refused = |key: &str, fault: String| {
+            Problem::unprocessable("bad_input", format!("{fault}.")).pointer(format!("/{key}"))
+        };
+        let crop = self.crop.as_deref().map(str::parse).transpose();
+        let crop = crop.map_err(|fault: String| refused("crop", fault))?;
+        if let Some(degree) = self.sh_degree
+            && degree > MOST_SH_DEGREE
+        {
+            let fault = format!("`sh_degree` must be from 0 to {MOST_SH_DEGREE}");
+            return Err(refused("sh_degree", fault));
+        }
+        Ok(Trim { crop, sh_degree: self.sh_degree })
+    }
 }
 
 /// A format in which the result can be exported.
@@ -71,7 +105,7 @@ pub async fn list(
     let round = finished(&app, &id, query.round).await?;
     let output = app.data.output(&id);
     let exports = tokio::task::spawn_blocking(move || {
-        let form = |export: Export| match export.prepare(&output, round) {
+        let form = |export: Export| match export.prepare(&output, round, Trim::default()) {
             Ok(prepared) => Some(ExportForm {
                 name: export.name(),
                 about: export.about(),
@@ -93,25 +127,27 @@ pub async fn list(
 /// The file is made while it is sent, so its length is unknown and ranges are not supported.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
     tag = "results",
-    params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), ExportQuery),
+    params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), DownloadQuery),
     responses(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The crop leaves nothing, or this export has no scene", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,
-    Query(query): Query<ExportQuery>,
+    Query(query): Query<DownloadQuery>,
 ) -> Result<Response, Problem> {
     let export: Export = name
         .parse()
         .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
+    let trim = query.trim()?;
     let round = finished(&app, &id, query.round).await?;
     // Compression holds a whole scene in memory.
     let turn = turn(&app)?;
     let output = app.data.output(&id);
-    let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round));
+    let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round, trim));
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
     let prepared = prepared.map_err(|error| refused(&error))?;
     let body = body_of(move |pieces| {
@@ -176,7 +212,9 @@ impl Write for Pipe<'_> {
 fn media_type(export: Export) -> &'static str {
     match export {
         Export::Restored | Export::Colmap | Export::Sog => "application/zip",
-        Export::CompressedScene | Export::SpzVersion3 | Export::Spz => "application/octet-stream",
+        Export::Ply | Export::CompressedScene | Export::SpzVersion3 | Export::Spz => {
+            "application/octet-stream"
+        }
         Export::Gltf => "model/gltf-binary",
         Export::Usd => "model/vnd.usda",
         Export::Transforms | Export::InriaCameras => "application/json",
@@ -195,6 +233,9 @@ fn refused(error: &ExportError) -> Problem {
         let detail = "This job lacks files that this export needs.";
         return Problem::conflict("no_export", detail)
             .hint("Run the capture in a new job. `artifacts` lists the available files.");
+    }
+    if error.is_of_wish() {
+        return Problem::unprocessable("bad_input", format!("{error}."));
     }
     tracing::error!(%error, "an export failed");
     let detail = without_paths(&format!("The result cannot be read: {error}."));

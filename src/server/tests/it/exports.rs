@@ -8,11 +8,12 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 10] = [
+const FORMS: [&str; 11] = [
     "restored.zip",
     "colmap.zip",
     "transforms.json",
     "cameras.inria.json",
+    "scene.ply",
     "scene.compressed.ply",
     "scene.glb",
     "scene.usda",
@@ -64,6 +65,35 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     get("/scene.obj").expect(404);
     get("/restored.zip?round=9").expect(404);
     get("/restored.zip?rounds=1").expect(422);
+}
+
+#[test]
+fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
+    let server = Server::start();
+    let job = server.job("splats");
+    server.wait_state(&job, "succeeded");
+    let get = |query: &str| server.get(&format!("/v1/jobs/{job}/exports/scene.ply{query}"), &[]);
+    let body = |query: &str| get(query).expect(200).body.len();
+    let whole = body("");
+    assert!(body("?crop=box:0,0,0,1,1,1") < whole / 2);
+    assert!(body("?crop=sphere:0,0,0,1000&sh_degree=3") > 3 * whole);
+    for (query, pointer, fault) in [
+        ("crop=box:0,0,0,1,1", "/crop", "must be box:X,Y,Z"),
+        ("crop=sphere:0,0,0,-1", "/crop", "must be above 0"),
+        ("crop=sphere:0,0,x,1", "/crop", "`x` is not a number"),
+        ("sh_degree=4", "/sh_degree", "must be from 0 to 3"),
+        ("sh_degree=-1", "/sh_degree", ""),
+    ] {
+        let problem = get(&format!("?{query}")).expect(422).json();
+        assert_eq!(problem["pointer"], pointer, "{problem}");
+        let detail = problem["detail"].as_str().expect("a detail");
+        assert!(detail.contains(fault), "{detail}");
+    }
+    let problem = get("?crop=sphere:900,0,0,1").expect(422).json();
+    let detail = problem["detail"].as_str().expect("a detail");
+    assert!(detail.contains("no Gaussian's centre is inside the crop"), "{detail}");
+    let zip = server.get(&format!("/v1/jobs/{job}/exports/restored.zip?sh_degree=1"), &[]);
+    assert_eq!(zip.expect(422).json()["code"], "bad_input");
 }
 
 #[test]

@@ -1,0 +1,95 @@
+use super::*;
+
+const SCENES: [Export; 7] = [
+    Export::Ply,
+    Export::CompressedScene,
+    Export::Gltf,
+    Export::Usd,
+    Export::SpzVersion3,
+    Export::Spz,
+    Export::Sog,
+];
+
+fn crop(text: &str) -> Trim {
+    Trim { crop: Some(text.parse().expect("a crop")), sh_degree: None }
+}
+
+/// The scene in a trimmed export as PLY.
+fn read(run: &RunFolder, trim: Trim) -> Scene {
+    let path = run.root().join("trimmed.ply");
+    fs::write(&path, trimmed(Export::Ply, run, None, trim)).expect("written");
+    ply::read(&path).expect("a scene")
+}
+
+#[test]
+fn a_scene_without_a_trim_is_the_runs_own_file() {
+    let (_folder, run) = result();
+    assert!(written(Export::Ply, &run, None) == fs::read(run.scene()).expect("read"));
+    let prepared = Export::Ply.prepare(&run, None, Trim::default()).expect("there");
+    assert_eq!(prepared.bytes(), fs::metadata(run.scene()).expect("there").len());
+}
+
+#[test]
+fn a_crop_keeps_the_gaussians_inside_it_in_every_scene() {
+    let (_folder, run) = result();
+    let kept = |trim: Trim| read(&run, trim).gaussians.means;
+    assert_eq!(kept(crop("sphere:0,0,0,1")), [[0.0; 3]]);
+    assert_eq!(kept(crop("box:1,2,3,0.1,0.1,0.1")), [[1.0, 2.0, 3.0]]);
+    assert_eq!(kept(crop("box:5,5,5,9,9,9")), [[1.0, 2.0, 3.0], [9.0; 3]]);
+    for export in SCENES {
+        let all = Trim { crop: crop("sphere:0,0,0,99").crop, sh_degree: None };
+        let [all, one] = [all, crop("sphere:0,0,0,1")]
+            .map(|trim| export.prepare(&run, None, trim).expect("there").bytes());
+        assert!(one < all, "{}", export.name());
+        assert!(!trimmed(export, &run, None, crop("sphere:0,0,0,1")).is_empty());
+    }
+}
+
+#[test]
+fn a_crop_is_in_the_world_of_the_poses() {
+    let (_folder, run) = result();
+    let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
+    let gaussians = ply::read(&run.scene()).expect("read").gaussians;
+    let by = Normalisation { offset, scale: 0.0625, left_out: true };
+    ply::write(&gaussians, &by, &run.scene()).expect("written");
+    // The second one is trained at 1, 2, 3.
+    let left = read(&run, crop("box:512368,-5412320,112,1,1,1"));
+    assert_eq!((left.gaussians.means, left.normalisation), (vec![[1.0, 2.0, 3.0]], by));
+    let elsewhere = Export::Ply.prepare(&run, None, crop("sphere:1,2,3,1")).expect_err("nothing");
+    let said = elsewhere.to_string();
+    assert!(said.ends_with("the scene is at 512368.000,-5412320.000,112.000"), "{said}");
+}
+
+#[test]
+fn harmonics_are_padded_and_cut() {
+    let (_folder, run) = result();
+    let own = ply::read(&run.scene()).expect("read").gaussians;
+    for degree in 0..=MOST_SH_DEGREE {
+        let trim = Trim { crop: None, sh_degree: Some(degree) };
+        let bytes = Export::Ply.prepare(&run, None, trim).expect("there").bytes();
+        assert_eq!(bytes, 3 * [68, 104, 164, 248][degree as usize]);
+        assert_eq!(read(&run, trim).gaussians, own.with_sh_degree(degree));
+        for export in SCENES {
+            assert!(!trimmed(export, &run, None, trim).is_empty());
+        }
+    }
+    ply::write(&own.with_sh_degree(2), &Normalisation::default(), &run.scene()).expect("written");
+    let cut = read(&run, Trim { crop: None, sh_degree: Some(0) });
+    assert_eq!(cut.gaussians, own);
+}
+
+#[test]
+fn what_cannot_be_trimmed_says_why() {
+    let (_folder, run) = result();
+    let nothing = crop("box:-5,0,0,1,1,1");
+    for export in Export::ALL {
+        let error = export.prepare(&run, None, nothing).expect_err("nothing is left");
+        let said = error.to_string();
+        let expected = if SCENES.contains(&export) {
+            "no Gaussian's centre is inside the crop"
+        } else {
+            "holds no scene"
+        };
+        assert!(error.is_of_wish() && !error.is_missing() && said.contains(expected), "{said}");
+    }
+}
