@@ -5,7 +5,7 @@
 
 pub mod cancel;
 pub mod fetch;
-mod multipart;
+mod pieces;
 pub mod retry;
 pub mod submit;
 pub mod watch;
@@ -71,6 +71,8 @@ enum Fault {
     Later(Option<Duration>, Failure),
     /// The service refused.
     Refused(Failure),
+    /// A proxy before the service refused the size of the body.
+    TooLarge(Failure),
 }
 
 /// The fields of a job that are read.
@@ -83,6 +85,8 @@ struct State {
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Problem {
+    /// Missing in the answer of a proxy.
+    code: String,
     detail: String,
     hint: String,
     capture: Option<Assessed>,
@@ -214,7 +218,7 @@ impl Remote {
         loop {
             let (pause, failure) = match attempt() {
                 Ok(done) => return Ok(done),
-                Err(Fault::Refused(failure)) => return Err(failure),
+                Err(Fault::Refused(failure) | Fault::TooLarge(failure)) => return Err(failure),
                 Err(Fault::Later(pause, failure)) => (pause, failure),
                 Err(Fault::Lost(why, has_moved)) => {
                     if has_moved {
@@ -274,8 +278,9 @@ fn refusal(mut response: Response<Body>) -> Fault {
     let seconds = seconds.and_then(|text| text.to_str().ok()?.parse().ok());
     let text = response.body_mut().read_to_vec().unwrap_or_default();
     let problem: Problem = serde_json::from_slice(&text).unwrap_or_default();
+    let is_foreign = problem.code.is_empty();
     let mut detail = match problem.detail.as_str() {
-        "" => format!("the service responded with status {status}"),
+        _ if is_foreign => format!("the server, or a proxy before it, responded with {status}"),
         detail => detail.to_owned(),
     };
     let images = problem.capture.map(|capture| capture.images);
@@ -286,6 +291,8 @@ fn refusal(mut response: Response<Body>) -> Fault {
     }
     let failure = Failure {
         kind: match status {
+            // It says nothing about the capture.
+            _ if is_foreign => ErrorKind::Environment,
             StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => ErrorKind::Environment,
             status if status.is_client_error() => ErrorKind::BadInput,
             _ => ErrorKind::Environment,
@@ -293,18 +300,25 @@ fn refusal(mut response: Response<Body>) -> Fault {
         detail,
         hint: match status {
             StatusCode::UNAUTHORIZED => format!("Put a token in {TOKEN}, or use --token-file."),
+            StatusCode::PAYLOAD_TOO_LARGE if is_foreign => {
+                "Allow larger request bodies there; for nginx: `client_max_body_size 16m;`."
+                    .to_owned()
+            }
             _ => problem.hint,
         },
         wrong_use: false,
     };
     let is_over = matches!(
         status,
-        StatusCode::TOO_MANY_REQUESTS
+        StatusCode::LOCKED
+            | StatusCode::TOO_MANY_REQUESTS
             | StatusCode::BAD_GATEWAY
             | StatusCode::SERVICE_UNAVAILABLE
             | StatusCode::GATEWAY_TIMEOUT
     );
-    if is_over {
+    if is_foreign && status == StatusCode::PAYLOAD_TOO_LARGE {
+        Fault::TooLarge(failure)
+    } else if is_over {
         Fault::Later(seconds.map(Duration::from_secs), failure)
     } else {
         Fault::Refused(failure)

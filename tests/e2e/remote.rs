@@ -140,3 +140,85 @@ fn and_with_other_options(server: &Server, address: &str, token: &str, id: &str)
     let log = server.get(&log, &[("authorization", &bearer)]).expect(200);
     assert!(log.text().contains("poses already done"), "{}", log.text());
 }
+
+/// A proxy that refuses requests with bodies above `largest` bytes before it reads them, as nginx
+/// does, and closes every connection after one request. Counts what it refuses.
+fn strict_proxy(to: &str, largest: usize) -> (String, Arc<AtomicUsize>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let address = format!("http://{}", listener.local_addr().expect("an address"));
+    let to = to.trim_start_matches("http://").to_owned();
+    let refused = Arc::new(AtomicUsize::new(0));
+    let counted = refused.clone();
+    spawn(move || {
+        for client in listener.incoming() {
+            let (to, counted) = (to.clone(), counted.clone());
+            spawn(move || answer(client.expect("a connection"), &to, largest, &counted));
+        }
+    });
+    (address, refused)
+}
+
+/// Forwards one request, or refuses it.
+fn answer(mut client: TcpStream, to: &str, largest: usize, refused: &AtomicUsize) {
+    let mut head = Vec::new();
+    let mut byte = [0];
+    while !head.ends_with(b"\r\n\r\n") && client.read_exact(&mut byte).is_ok() {
+        head.push(byte[0]);
+    }
+    let head = String::from_utf8(head).expect("text");
+    let lines = head.lines().filter(|line| !line.is_empty());
+    let (expects, lines): (Vec<_>, Vec<_>) =
+        lines.partition(|line| line.to_ascii_lowercase().starts_with("expect: "));
+    let length = lines.iter().find_map(|line| {
+        let (name, value) = line.split_once(": ")?;
+        name.eq_ignore_ascii_case("content-length").then(|| value.parse().expect("a number"))
+    });
+    let length: usize = length.unwrap_or(0);
+    if length > largest {
+        refused.fetch_add(1, Ordering::SeqCst);
+        let page = b"HTTP/1.1 413 Request Entity Too Large\r\nContent-Type: text/html\r\n\
+            Content-Length: 6\r\nConnection: close\r\n\r\n<html>";
+        client.write_all(page).expect("sent");
+        return;
+    }
+    if !expects.is_empty() {
+        client.write_all(b"HTTP/1.1 100 Continue\r\n\r\n").expect("sent");
+    }
+    let mut body = vec![0; length];
+    if client.read_exact(&mut body).is_err() {
+        return;
+    }
+    let mut service = TcpStream::connect(to).expect("the service listens");
+    let head = lines.join("\r\n") + "\r\nConnection: close\r\n\r\n";
+    service.write_all(&[head.as_bytes(), &body].concat()).expect("sent");
+    let mut reply = Vec::new();
+    service.read_to_end(&mut reply).expect("an answer");
+    // The client may be gone.
+    let _ = client.write_all(&reply);
+}
+
+#[test]
+fn a_proxy_that_limits_bodies_only_makes_pieces_smaller() {
+    let server = Server::start();
+    let folder = server.folder.path();
+    let capture = small_capture(folder);
+    let large = folder.join("large.zip");
+    std::fs::write(&large, vec![7; 3 << 20]).expect("written");
+    let send = |capture: &Path, largest| {
+        let (address, refused) = strict_proxy(&server.base, largest);
+        let sent = submit(capture, &address, "", &folder.join("out"));
+        (code(&sent), said(&sent), refused.load(Ordering::SeqCst))
+    };
+    // The service itself has read it all, and says what is wrong with it.
+    let (code, words, refused) = send(&large, 1 << 20);
+    assert_eq!((code, refused), (3, 2), "{words}");
+    assert!(!words.contains("proxy") && words.contains("ZIP"), "{words}");
+    let uploads = std::fs::read_dir(folder.join("data/uploads")).expect("the uploads");
+    assert_eq!(uploads.count(), 0, "what was refused is deleted");
+    let (code, words, _) = send(&large, 100_000);
+    assert_eq!(code, 4, "no fault of the capture: {words}");
+    assert!(words.contains("a proxy before the server refuses even pieces of 512 KiB"), "{words}");
+    assert!(words.contains("client_max_body_size"), "{words}");
+    let (code, words, _) = send(&capture, 1 << 20);
+    assert_eq!(code, 0, "{words}");
+}

@@ -1,19 +1,17 @@
 //! `fled submit`: sends a capture to a service.
 
-use std::io::{Read, Write};
+use std::io::Write;
 use std::path::PathBuf;
 
 use fled_core::pipeline::config::Preset;
 use fled_core::pipeline::error::ErrorKind;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Deserialize;
-use serde_json::Value;
-use ureq::SendBody;
+use serde_json::{Map, Value};
 use ureq::http::{Request, header};
 
-use super::multipart::Form;
+use super::pieces::{Files, discard};
 use super::retry::assigned;
-use super::{Fault, MUCH, Remote, fetch, read_json, watch};
+use super::{Fault, Remote, fetch, read_json, watch};
 use crate::failure::Failure;
 
 /// Arguments of `fled submit`.
@@ -56,6 +54,11 @@ struct Accepted {
     id: String,
 }
 
+#[derive(Deserialize)]
+struct Jobs {
+    jobs: Vec<Accepted>,
+}
+
 /// Sends the capture, watches the job and fetches its result. Repeating the command resumes an
 /// interrupted one: the same capture and options give the same job.
 ///
@@ -63,15 +66,24 @@ struct Accepted {
 /// [`Failure`] with the service's own message.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
-    let form = Form::new(&fields(args)?, &args.capture)?;
-    let mut key = form.digest.to_hex().to_string();
+    let mut order = order(args)?;
+    let files = Files::new(&args.capture, &Value::Object(order.clone()).to_string())?;
+    let mut key = files.digest.to_hex().to_string();
     if args.again {
         let now = std::time::SystemTime::UNIX_EPOCH.elapsed();
         key += &format!("-{}", now.unwrap_or_default().as_nanos());
     }
-    // Check the address and the token first.
-    remote.json::<Value>("/v1/options")?;
-    let job = remote.persist(|| send(&remote, &form, &key))?;
+    // Also checks the address and the token before anything is sent.
+    let before: Jobs = remote.json(&format!("/v1/jobs?idempotency_key={key}"))?;
+    let job = if let Some(job) = before.jobs.into_iter().next() {
+        eprintln!("this job was submitted before; use --again to create another");
+        job.id
+    } else {
+        let uploads = files.send(&remote)?;
+        order.insert("uploads".to_owned(), uploads.clone().into());
+        let created = remote.persist(|| create(&remote, &order, &key));
+        created.inspect_err(|_| discard(&remote, &uploads))?
+    };
     writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
     if args.detach {
         eprintln!("Follow it with `fled watch {job} --server {}`", remote.base());
@@ -84,45 +96,30 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     }
 }
 
-fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
+/// The order of the job, without its uploads.
+fn order(args: &Args) -> Result<Map<String, Value>, Failure> {
     let options = assigned(args.preset, &args.assignments)?;
     let name = args.name.clone().or_else(|| {
         let path = args.capture.canonicalize().ok()?;
         Some(path.file_stem()?.to_string_lossy().into_owned())
     });
-    let frames = args.frames.map(|frames| ("frames", frames.to_string()));
-    let priority = args.priority.map(|n| ("priority", n.to_string()));
     let fields = [
-        ("name", name.unwrap_or_default()),
-        ("preset", args.preset.name().to_owned()),
-        ("options", Value::Object(options).to_string()),
+        ("name", name.map(Value::from)),
+        ("preset", Some(args.preset.name().into())),
+        ("options", Some(Value::Object(options))),
+        ("frames", args.frames.map(Value::from)),
+        ("priority", args.priority.map(Value::from)),
     ];
-    Ok(fields.into_iter().chain(frames).chain(priority).collect())
+    let fields = fields.into_iter();
+    Ok(fields.filter_map(|(key, value)| Some((key.to_owned(), value?))).collect())
 }
 
-fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
-    let bar = ProgressBar::new(form.bytes());
-    let style = ProgressStyle::with_template(
-        "{bar:30} {percent:>3}% sent, {bytes} of {total_bytes} at {binary_bytes_per_sec}",
-    );
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-    let mut body = form.body();
-    let mut body = bar.wrap_read(body.by_ref());
+/// Creates the job; the key makes repeated requests a single one.
+fn create(remote: &Remote, order: &Map<String, Value>, key: &str) -> Result<String, Fault> {
     let request = Request::post(remote.url("/v1/jobs"))
-        .header(header::CONTENT_TYPE, Form::content_type())
-        .header(header::CONTENT_LENGTH, form.bytes())
-        // With this header, a refusal arrives before the body is sent.
-        .header(header::EXPECT, "100-continue")
+        .header(header::CONTENT_TYPE, "application/json")
         .header("idempotency-key", key);
-    let answer = remote.send(&remote.patient, request, SendBody::from_reader(&mut body));
-    let sent = bar.position();
-    bar.finish_and_clear();
-    let answer = answer.map_err(|fault| match fault {
-        Fault::Lost(why, _) => Fault::Lost(why, sent > MUCH),
-        fault => fault,
-    })?;
-    if answer.headers().contains_key("idempotent-replayed") {
-        eprintln!("this job was submitted before; use --again to create another");
-    }
+    let body = Value::Object(order.clone()).to_string();
+    let answer = remote.send(&remote.patient, request, body.as_str())?;
     read_json::<Accepted>(answer).map(|accepted| accepted.id)
 }

@@ -1,0 +1,256 @@
+//! The files of a capture, sent in pieces as resumable uploads: tus 1.0.
+//!
+//! A lost connection costs at most one piece, and a proxy that limits the size of a request only
+//! makes the pieces smaller.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use fled_core::pipeline::error::ErrorKind;
+use indicatif::{ProgressBar, ProgressStyle};
+use ureq::http::request::Builder;
+use ureq::http::{Request, Response, header};
+use ureq::{AsSendBody, Body, SendBody};
+
+use super::{Fault, MUCH, Remote};
+use crate::failure::{Failure, io as at};
+
+/// Largest piece in bytes.
+const MOST: u64 = 8 << 20;
+/// Bytes of the smallest piece that is tried.
+const LEAST: u64 = 512 << 10;
+/// Path of the uploads.
+const UPLOADS: &str = "/v1/uploads";
+/// The header that each request about an upload carries.
+const RESUMABLE: (&str, &str) = ("tus-resumable", "1.0.0");
+
+/// The files to send.
+pub struct Files {
+    /// Names, paths and sizes in bytes.
+    files: Vec<(String, PathBuf, u64)>,
+    /// Equal for equal names and contents of files and fields.
+    pub digest: blake3::Hash,
+}
+
+impl Files {
+    /// All files of a folder that are not hidden, or one file, such as a ZIP; `fields` only count
+    /// for the digest.
+    ///
+    /// # Errors
+    /// [`Failure`] if a file cannot be read.
+    pub fn new(capture: &Path, fields: &str) -> Result<Self, Failure> {
+        let mut hasher = blake3::Hasher::new();
+        // With the lengths, so that texts cannot run into one another.
+        hasher.update(&(fields.len() as u64).to_le_bytes()).update(fields.as_bytes());
+        let mut files = Vec::new();
+        for (name, path) in found(capture)? {
+            hasher.update(&(name.len() as u64).to_le_bytes()).update(name.as_bytes());
+            let mut file = File::open(&path).map_err(at(&path))?;
+            let bytes = file.metadata().map_err(at(&path))?.len();
+            hasher.update(&bytes.to_le_bytes());
+            hasher.update_reader(&mut file).map_err(at(&path))?;
+            files.push((name, path, bytes));
+        }
+        Ok(Self { files, digest: hasher.finalize() })
+    }
+
+    /// Sends all files and returns the ids of their uploads.
+    ///
+    /// # Errors
+    /// [`Failure`] with the service's own message, or if a proxy before it refuses even small
+    /// pieces.
+    pub fn send(&self, remote: &Remote) -> Result<Vec<String>, Failure> {
+        let bar = ProgressBar::new(self.files.iter().map(|(.., bytes)| bytes).sum());
+        let style = ProgressStyle::with_template(
+            "{bar:30} {percent:>3}% sent, {bytes} of {total_bytes} at {binary_bytes_per_sec}",
+        );
+        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+        let mut sender = Sender { remote, bar, most: MOST };
+        let ids = self.files.iter().map(|(name, path, bytes)| sender.file(name, path, *bytes));
+        let ids = ids.collect();
+        sender.bar.finish_and_clear();
+        ids
+    }
+}
+
+/// Deletes uploads that no job uses: a later call sends them again, and they count until they
+/// expire. What cannot be deleted expires.
+pub fn discard(remote: &Remote, ids: &[String]) {
+    for id in ids {
+        let request = Request::delete(remote.url(&format!("{UPLOADS}/{id}")));
+        if remote.send(&remote.patient, request.header(RESUMABLE.0, RESUMABLE.1), ()).is_err() {
+            return;
+        }
+    }
+}
+
+/// Sends files one after another.
+struct Sender<'a> {
+    remote: &'a Remote,
+    bar: ProgressBar,
+    /// Bytes of the largest piece that a proxy may accept.
+    most: u64,
+}
+
+impl Sender<'_> {
+    /// Sends a file of this size and returns the id of its upload.
+    fn file(&mut self, name: &str, path: &Path, bytes: u64) -> Result<String, Failure> {
+        let remote = self.remote;
+        let before = self.bar.position();
+        let (mut id, mut offset) = (remote.persist(|| self.begin(name, bytes))?, 0);
+        while offset < bytes {
+            let mut is_sure = true;
+            let reached = remote.persist(|| {
+                let from = if is_sure { Some(offset) } else { self.reached(&id)? };
+                is_sure = false;
+                from.map(|from| self.piece(path, &id, from, bytes)).transpose()
+            })?;
+            match reached {
+                Some(reached) => offset = reached,
+                // It expired while the service did not respond.
+                None => (id, offset) = (remote.persist(|| self.begin(name, bytes))?, 0),
+            }
+            self.bar.set_position(before + offset);
+        }
+        Ok(id)
+    }
+
+    /// Starts the upload of a file and returns its id.
+    fn begin(&self, name: &str, bytes: u64) -> Result<String, Fault> {
+        let request = Request::post(self.remote.url(UPLOADS))
+            .header("upload-length", bytes)
+            .header("upload-metadata", format!("filename {}", STANDARD.encode(name)));
+        let answer = self.ask(request, "")?;
+        let address = answer.headers().get(header::LOCATION).and_then(|value| value.to_str().ok());
+        let id = address.and_then(|address| address.rsplit('/').next());
+        id.map(str::to_owned).ok_or_else(|| no_service("its answer has no `Location`"))
+    }
+
+    /// Bytes of an upload that have arrived; `None` if it is gone.
+    fn reached(&self, id: &str) -> Result<Option<u64>, Fault> {
+        let request = Request::head(self.remote.url(&format!("{UPLOADS}/{id}")));
+        match self.ask(request, ()) {
+            Ok(answer) => offset(&answer).map(Some),
+            // The answer to HEAD has no body with a reason: the next request finds it again.
+            Err(Fault::Refused(_)) => Ok(None),
+            Err(fault) => Err(fault),
+        }
+    }
+
+    /// Sends a piece from `from` on, the largest that passes; returns the upload's new offset.
+    fn piece(&mut self, path: &Path, id: &str, from: u64, bytes: u64) -> Result<u64, Fault> {
+        loop {
+            let length = self.most.min(bytes - from);
+            match self.pass(path, id, from, length) {
+                Err(Fault::TooLarge(_)) if length > LEAST => self.most = LEAST.max(length / 2),
+                Err(Fault::TooLarge(failure)) => {
+                    let kib = length.div_ceil(1024);
+                    let detail =
+                        format!("a proxy before the server refuses even pieces of {kib} KiB");
+                    return Err(Fault::Refused(Failure { detail, ..failure }));
+                }
+                outcome => return outcome,
+            }
+        }
+    }
+
+    /// Sends one piece.
+    fn pass(&self, path: &Path, id: &str, from: u64, length: u64) -> Result<u64, Fault> {
+        let read = |error| Fault::Refused(at(path)(error));
+        let mut file = File::open(path).map_err(read)?;
+        file.seek(SeekFrom::Start(from)).map_err(read)?;
+        let before = self.bar.position();
+        let mut body = self.bar.wrap_read(file.take(length));
+        let request = Request::patch(self.remote.url(&format!("{UPLOADS}/{id}")))
+            .header("upload-offset", from)
+            .header(header::CONTENT_TYPE, "application/offset+octet-stream")
+            .header(header::CONTENT_LENGTH, length)
+            // With this header, a refusal arrives before the body is sent.
+            .header(header::EXPECT, "100-continue");
+        let answer = self.ask(request, SendBody::from_reader(&mut body));
+        let sent = self.bar.position() - before;
+        let answer = answer.map_err(|fault| {
+            self.bar.set_position(before);
+            match fault {
+                Fault::Lost(why, _) => Fault::Lost(why, sent > MUCH),
+                fault => fault,
+            }
+        })?;
+        offset(&answer)
+    }
+
+    fn ask(&self, request: Builder, body: impl AsSendBody) -> Result<Response<Body>, Fault> {
+        self.remote.send(&self.remote.patient, request.header(RESUMABLE.0, RESUMABLE.1), body)
+    }
+}
+
+/// The offset of an upload in an answer.
+fn offset(answer: &Response<Body>) -> Result<u64, Fault> {
+    let offset = answer.headers().get("upload-offset");
+    let offset = offset.and_then(|value| value.to_str().ok()?.parse().ok());
+    offset.ok_or_else(|| no_service("its answer has no `Upload-Offset`"))
+}
+
+fn no_service(why: &str) -> Fault {
+    let detail = format!("the server there is not a fled service: {why}");
+    Fault::Refused(Failure::new(ErrorKind::Environment, detail))
+}
+
+/// The files of a capture with their names, sorted.
+fn found(capture: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
+    if capture.is_file() {
+        let name = capture.file_name().unwrap_or_default().to_string_lossy();
+        return Ok(vec![(name.into_owned(), capture.to_owned())]);
+    }
+    let mut found = Vec::new();
+    below(capture, "", &mut found)?;
+    found.sort();
+    if found.is_empty() {
+        let detail = format!("{} has no files", capture.display());
+        return Err(Failure::usage(detail));
+    }
+    Ok(found)
+}
+
+fn below(folder: &Path, prefix: &str, found: &mut Vec<(String, PathBuf)>) -> Result<(), Failure> {
+    for entry in std::fs::read_dir(folder).map_err(at(folder))? {
+        let path = entry.map_err(at(folder))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if name.starts_with('.') {
+            continue;
+        }
+        let name = format!("{prefix}{name}");
+        if path.is_dir() {
+            below(&path, &format!("{name}/"), found)?;
+        } else {
+            found.push((name, path));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_is_of_names_contents_and_fields() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let root = folder.path();
+        std::fs::create_dir(root.join("gt")).expect("a folder");
+        for (name, content) in [("b.png", "22"), ("gt/b.png", "333"), (".hidden", "no")] {
+            std::fs::write(root.join(name), content).expect("written");
+        }
+        let files = |fields: &str| Files::new(root, fields).expect("files");
+        let first = files("a place");
+        let names: Vec<_> = first.files.iter().map(|(name, _, bytes)| (&**name, *bytes)).collect();
+        assert_eq!(names, [("b.png", 2), ("gt/b.png", 3)]);
+        assert_eq!(first.digest, files("a place").digest);
+        assert_ne!(first.digest, files("another").digest);
+        std::fs::write(root.join("b.png"), "23").expect("written");
+        assert_ne!(first.digest, files("a place").digest);
+    }
+}
