@@ -4,6 +4,7 @@
 
 mod detect;
 mod extractor;
+mod kept;
 mod key_points;
 mod matcher;
 mod nearest;

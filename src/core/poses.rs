@@ -48,6 +48,8 @@ pub struct PoseRequest<'a> {
     pub work_dir: &'a Path,
     /// Random seed, if the tool has one.
     pub seed: u64,
+    /// Identifies build and tools: what those of another stamp left in the directory is not used.
+    pub stamp: &'a str,
 }
 
 /// One photograph whose pose is requested.

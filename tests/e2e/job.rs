@@ -4,6 +4,7 @@ use std::fs;
 
 use fled_core::gaussians::ply;
 use fled_core::image::Image;
+use fled_core::synthetic::{SynthOptions, generate};
 
 use crate::support::{
     fled, json, kill_at, small_capture, small_capture_shaken_by, small_run, succeed,
@@ -98,6 +99,28 @@ fn a_run_killed_at_any_stage_resumes_to_the_same_scene() {
     assert!(resumed == expected, "a resumed run must deliver what an undisturbed one does");
     let log = fs::read_to_string(out.join("log.txt")).expect("log.txt");
     assert!(log.contains("already done"), "the rerun must have skipped finished stages:\n{log}");
+}
+
+#[test]
+fn a_run_killed_while_it_matches_photographs_continues_with_the_pairs_it_has() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("capture");
+    let options =
+        SynthOptions { views: 10, width: 240, height: 136, seed: 4, ..SynthOptions::default() };
+    generate(&options, &capture).expect("a synthetic capture");
+    let out = folder.path().join("killed");
+    let run = || {
+        let mut run = small_run(&capture, &out, 1);
+        run.args(["--set", "pose_source=colmap"]);
+        run
+    };
+    kill_at(&mut run(), r#""done":30,"total":55"#);
+    succeed(&mut run());
+    let log = fs::read_to_string(out.join("log.txt")).expect("log.txt");
+    let (_, rest) = log.split_once("an interrupted search had matched ").expect("a line");
+    let kept: u32 = rest.split(' ').next().expect("a number").parse().expect("a number");
+    // Two more threads may have finished a pair before they were killed.
+    assert!((20..45).contains(&kept), "{kept} of 45 pairs");
 }
 
 #[test]

@@ -125,6 +125,7 @@ impl Consistency {
         Correspondences {
             key_points: found.key_points.clone(),
             pairs: found.pairs.iter().filter(agrees).cloned().collect(),
+            kept: found.kept,
         }
     }
 }

@@ -14,10 +14,13 @@ use super::strategies::Mapping;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;
-use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
+use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
 
 /// Length of a descriptor in COLMAP's text files. Unused: nothing is matched by descriptors.
 const DESCRIPTOR: usize = 128;
+
+/// The file of the matches so far, in the working folder.
+const KEPT: &str = "matches.kept";
 
 /// The selections of pairs for models, tried until one agrees with the strongest matches of all
 /// photographs. Fewer of the strongest pairs mislead less, but also connect less.
@@ -131,8 +134,15 @@ impl Search<'_> {
             sink.event(&Event::advanced(Stage::Poses, done, total));
         };
         let start = Instant::now();
-        let mut found = matching.matches(&pictures, Pairs::Within, &mut advance, cancel)?;
+        let file = self.request.work_dir.join(KEPT);
+        let keeping = Some(Keeping { file: &file, stamp: self.request.stamp });
+        let mut found =
+            matching.matches(&pictures, Pairs::Within, keeping, &mut advance, cancel)?;
         found.retain(|picture, point| !copies.hides(picture, point));
+        if found.kept > 0 {
+            let kept = found.kept;
+            sink.log(format!("poses: an interrupted search had matched {kept} of the pairs"));
+        }
         let matches: usize = found.pairs.iter().map(|pair| pair.matches.len()).sum();
         sink.log(format!(
             "poses: {matches} matches in {} pairs of {} photographs, {} in {:.1} s",
@@ -188,6 +198,7 @@ impl Selection {
         Correspondences {
             key_points: found.key_points.clone(),
             pairs: pairs.into_iter().cloned().collect(),
+            kept: found.kept,
         }
     }
 }

@@ -5,6 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, mpsc};
 
 use super::extractor::Extractor;
+use super::kept::{self, KeptMatches, Matches};
 use super::key_points::KeyPoints;
 use super::matcher::Matcher;
 use super::weights::{Package, WeightsError};
@@ -12,7 +13,7 @@ use super::{nearest, pairs, self_test};
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::inference::{self, Graph, Network, Provider, Runtime, RuntimeError};
-use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
+use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
 use crate::poses::{PosesError, name_of};
 
 const XFEAT: &[u8] = include_bytes!("../../../models/xfeat.onnx");
@@ -171,13 +172,37 @@ impl LearnedMatching {
         })
     }
 
+    /// The key points of every picture, for this number of pairs.
+    fn key_points(
+        &self,
+        pictures: &[PathBuf],
+        pairs: usize,
+        advance: &mut dyn FnMut(u64, u64),
+        cancel: &CancelToken,
+    ) -> Result<Vec<KeyPoints>, PosesError> {
+        let mut extractors = self.sessions(Self::extractor)?;
+        let most = self.options.key_points_of(pairs);
+        let extract =
+            |extractor: &mut _, picture: &PathBuf| Self::extract(extractor, picture, most);
+        // The total includes all pairs from the first picture on, so that the progress never looks
+        // complete too early.
+        let count = pictures.len() as u64;
+        let total = count + pairs as u64;
+        each(pictures, &mut extractors, cancel, extract, &mut |done| {
+            // The last one is reported with the pairs of an interrupted search.
+            if done < count {
+                advance(done, total);
+            }
+        })
+    }
+
     /// The matches of a pair, if the fast check passes.
     fn pair(
         &self,
         matcher: &mut Matcher,
         (first, second): (usize, usize),
         found: &[KeyPoints],
-    ) -> Result<Option<PairMatches>, PosesError> {
+    ) -> Result<Matches, PosesError> {
         let (a, b) = (&found[first], &found[second]);
         if nearest::mutual(a, b).len() < self.options.neighbours {
             return Ok(None);
@@ -185,11 +210,7 @@ impl LearnedMatching {
         let matches = matcher.matches(a, b).map_err(|detail| PosesError::Matching {
             detail: format!("pictures {first} and {second}: {detail}"),
         })?;
-        Ok(Some(PairMatches {
-            first,
-            second,
-            matches: matches.iter().map(|m| [m.first, m.second]).collect(),
-        }))
+        Ok(Some(matches.iter().map(|m| [m.first, m.second]).collect()))
     }
 }
 
@@ -202,32 +223,41 @@ impl Matching for LearnedMatching {
         &self,
         pictures: &[PathBuf],
         pairs: Pairs,
+        keeping: Option<Keeping<'_>>,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
+        let kept = KeptMatches::open(keeping, &self.describe())?;
         let count = pairs::count(pictures.len(), pairs);
-        // The total includes all pairs from the first picture on, so that the progress never looks
-        // complete too early.
-        let before = pictures.len() as u64;
-        let total = before + count as u64;
-        let mut extractors = self.sessions(Self::extractor)?;
-        let most = self.options.key_points_of(count);
-        let extract =
-            |extractor: &mut _, picture: &PathBuf| Self::extract(extractor, picture, most);
-        let found = each(pictures, &mut extractors, cancel, extract, &mut |done| {
-            advance(done, total);
-        })?;
-        drop(extractors);
+        let found = self.key_points(pictures, count, advance, cancel)?;
         let pooled: Vec<_> = found.iter().map(KeyPoints::pooled).collect();
         let candidates = pairs::candidates(&pooled, pairs);
-        let mut matchers = self.sessions(Self::matcher)?;
-        let pair = |matcher: &mut _, pair: &_| self.pair(matcher, *pair, &found);
-        let matched = each(&candidates, &mut matchers, cancel, pair, &mut |done| {
-            advance(before + done, total);
-        })?;
+        let prints: Vec<_> = found.iter().map(kept::print).collect();
+        let key = |(first, second): (usize, usize)| {
+            kept::key(&prints[first], &prints[second], self.options.neighbours)
+        };
+        let keys: Vec<_> = candidates.iter().map(|pair| key(*pair)).collect();
+        let pairs = candidates.iter().zip(&keys);
+        let missing: Vec<_> = pairs.clone().filter(|(_, key)| !kept.has(key)).collect();
+        let total = (pictures.len() + candidates.len()) as u64;
+        let before = total - missing.len() as u64;
+        advance(before, total);
+        if !missing.is_empty() {
+            let mut matchers = self.sessions(Self::matcher)?;
+            let pair = |matcher: &mut _, (pair, key): &(&_, &kept::Key)| {
+                kept.keep(**key, self.pair(matcher, **pair, &found)?)
+            };
+            each(&missing, &mut matchers, cancel, pair, &mut |done| {
+                advance(before + done, total);
+            })?;
+        }
+        let pairs = pairs.filter_map(|(&(first, second), key)| {
+            Some(PairMatches { first, second, matches: kept.get(key)? })
+        });
         Ok(Correspondences {
+            pairs: pairs.collect(),
+            kept: candidates.len() - missing.len(),
             key_points: found.into_iter().map(|found| found.positions).collect(),
-            pairs: matched.into_iter().flatten().collect(),
         })
     }
 

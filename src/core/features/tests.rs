@@ -11,7 +11,7 @@ use crate::cancel::CancelToken;
 use crate::image::{EncodeFormat, Image, Srgb};
 use crate::inference::runtime;
 use crate::poses::PosesError;
-use crate::poses::matching::{Matching, Pairs};
+use crate::poses::matching::{Correspondences, Keeping, Matching, Pairs};
 
 #[derive(Deserialize)]
 struct Reference {
@@ -171,6 +171,7 @@ fn overlapping_pictures_match_and_progress_is_reported() {
         .matches(
             &pictures,
             Pairs::Within,
+            None,
             &mut |done, total| progress.push((done, total)),
             &CancelToken::new(),
         )
@@ -185,6 +186,55 @@ fn overlapping_pictures_match_and_progress_is_reported() {
     assert_eq!(progress.first(), Some(&(1, 4 + 6)), "of pictures and pairs together");
     assert_eq!(progress.last(), Some(&(4 + 6, 4 + 6)));
     assert!(progress.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{progress:?}");
+}
+
+/// A search of `pictures` that keeps its matches in `file` and is cancelled after `most` pictures
+/// and pairs, with the progress that it reported.
+fn search(
+    pictures: &[PathBuf],
+    file: &Path,
+    most: u64,
+) -> (Result<Correspondences, PosesError>, Vec<(u64, u64)>) {
+    let (cancel, mut progress) = (CancelToken::new(), Vec::new());
+    let mut advance = |done, total| {
+        progress.push((done, total));
+        if done >= most {
+            cancel.cancel();
+        }
+    };
+    let keeping = Some(Keeping { file, stamp: "build" });
+    let found = matching().matches(pictures, Pairs::Within, keeping, &mut advance, &cancel);
+    (found, progress)
+}
+
+#[test]
+fn an_interrupted_search_matches_only_the_pairs_that_it_lacks() {
+    let folder = tempfile::tempdir().expect("temporary directory");
+    let pictures = capture(folder.path());
+    let file = |name| folder.path().join(name);
+    let (whole, _) = search(&pictures, &file("whole"), u64::MAX);
+    let whole = whole.expect("runs");
+    let (interrupted, _) = search(&pictures, &file("kept"), 4 + 2);
+    assert!(matches!(interrupted, Err(PosesError::Cancelled(_))), "{interrupted:?}");
+    let (resumed, progress) = search(&pictures, &file("kept"), u64::MAX);
+    let resumed = resumed.expect("runs");
+    assert!((2..6).contains(&resumed.kept), "{}", resumed.kept);
+    assert_eq!((&resumed.key_points, &resumed.pairs), (&whole.key_points, &whole.pairs));
+    let kept = resumed.kept as u64;
+    let expected: Vec<_> = (1..4).chain(4 + kept..=4 + 6).map(|done| (done, 4 + 6)).collect();
+    assert_eq!(progress, expected, "kept pairs count at once, and the others one by one");
+    // Each pair that is matched adds a record.
+    let bytes = |name| std::fs::metadata(file(name)).expect("kept").len();
+    assert_eq!(bytes("kept"), bytes("whole"));
+
+    let (again, _) = search(&pictures, &file("kept"), u64::MAX);
+    assert_eq!(again.expect("runs").kept, 6);
+    // Another photograph is matched with each of the others, and they are not matched again.
+    let (most, _) = search(&pictures[..3], &file("few"), u64::MAX);
+    assert_eq!(most.expect("runs").kept, 0);
+    let (one_more, _) = search(&pictures, &file("few"), u64::MAX);
+    let one_more = one_more.expect("runs");
+    assert_eq!((one_more.kept, one_more.pairs), (3, whole.pairs));
 }
 
 #[test]
@@ -202,11 +252,12 @@ fn a_cancelled_search_ends_and_errors_name_broken_pictures() {
     let mut pictures = capture(folder.path());
     let cancel = CancelToken::new();
     cancel.cancel();
-    let cancelled = matching().matches(&pictures, Pairs::Within, &mut |_, _| {}, &cancel);
+    let cancelled = matching().matches(&pictures, Pairs::Within, None, &mut |_, _| {}, &cancel);
     assert!(matches!(cancelled, Err(PosesError::Cancelled(_))));
     std::fs::write(folder.path().join("broken.png"), "no picture").expect("written");
     pictures.push(folder.path().join("broken.png"));
-    let broken = matching().matches(&pictures, Pairs::Within, &mut |_, _| {}, &CancelToken::new());
+    let broken =
+        matching().matches(&pictures, Pairs::Within, None, &mut |_, _| {}, &CancelToken::new());
     let text = broken.expect_err("no picture").to_string();
     assert!(text.contains("broken.png"), "{text}");
 }

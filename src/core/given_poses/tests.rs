@@ -66,7 +66,7 @@ impl Capture {
     }
 
     fn request(&self) -> PoseRequest<'_> {
-        PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3 }
+        PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3, stamp: "" }
     }
 
     /// The true cameras as `poses_bounds.npy`.

@@ -1,6 +1,6 @@
 //! Key points and matches supplied to COLMAP from outside.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::PosesError;
 use crate::cancel::CancelToken;
@@ -14,18 +14,29 @@ pub enum Pairs {
     Across(usize),
 }
 
+/// Where matches are kept as they come, so that an interrupted search continues with them.
+#[derive(Clone, Copy, Debug)]
+pub struct Keeping<'a> {
+    /// The file.
+    pub file: &'a Path,
+    /// Identifies the build: matches of another one are not used.
+    pub stamp: &'a str,
+}
+
 /// Finds key points and their matches in photographs.
 pub trait Matching: Send + Sync {
     /// The key points of each picture (sRGB files, at the brightness of COLMAP's copies) and the
-    /// matches of `pairs`. `advance` is called with the number of parts done and the total.
+    /// matches of `pairs`; those that were kept are not computed again. `advance` is called with
+    /// the number of pictures and pairs done and the total.
     ///
     /// # Errors
     /// [`PosesError::Matching`] if the networks fail, [`PosesError::BadFile`],
-    /// [`PosesError::Cancelled`].
+    /// [`PosesError::Io`] if matches cannot be kept, [`PosesError::Cancelled`].
     fn matches(
         &self,
         pictures: &[PathBuf],
         pairs: Pairs,
+        keeping: Option<Keeping<'_>>,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError>;
@@ -41,6 +52,8 @@ pub struct Correspondences {
     pub key_points: Vec<Vec<[f32; 2]>>,
     /// The pairs that have matches.
     pub pairs: Vec<PairMatches>,
+    /// Number of pairs that an interrupted search had compared.
+    pub kept: usize,
 }
 
 impl Correspondences {
@@ -79,6 +92,7 @@ mod tests {
         let mut found = Correspondences {
             key_points: (0..3).map(points).collect(),
             pairs: vec![pair(0, 1), pair(0, 2), pair(1, 2)],
+            kept: 0,
         };
         found.retain(|picture, [_, y]| picture != 2 && (picture != 1 || y > 5.0));
         let left = PairMatches { first: 0, second: 1, matches: vec![[0, 1]] };

@@ -68,7 +68,8 @@ fn see(found: &mut Correspondences, cameras: &[Camera], pair: (usize, usize), co
 /// Neighbours on the ring with many matches, the next ones with fewer.
 fn neighbours(cameras: &[Camera]) -> Correspondences {
     let count = cameras.len();
-    let mut found = Correspondences { key_points: vec![Vec::new(); count], pairs: Vec::new() };
+    let mut found =
+        Correspondences { key_points: vec![Vec::new(); count], ..Correspondences::default() };
     for first in 0..count {
         for (apart, matches) in [(1, 200), (2, 80)] {
             if first + apart < count {

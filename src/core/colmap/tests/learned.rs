@@ -5,7 +5,7 @@ use glam::{DMat4, DQuat, DVec3};
 use super::*;
 use crate::poses::PoseStatus;
 use crate::poses::align::Similarity;
-use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
+use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
 
 /// A script whose mapper places every photograph, but none by COLMAP's own features.
 const PLACES_ALL: &str = r#"
@@ -30,6 +30,7 @@ impl Matching for Neighbours {
         &self,
         pictures: &[PathBuf],
         pairs: Pairs,
+        _: Option<Keeping<'_>>,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
@@ -54,6 +55,7 @@ impl Matching for Neighbours {
                 .filter(|first| Some(*first) != self.last_of_a_place)
                 .map(pair)
                 .collect(),
+            kept: 0,
         })
     }
 
@@ -70,6 +72,7 @@ impl Matching for Broken {
         &self,
         _: &[PathBuf],
         _: Pairs,
+        _: Option<Keeping<'_>>,
         _: &mut dyn FnMut(u64, u64),
         _: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
@@ -242,7 +245,8 @@ fn refined_by(
     sink: &mut dyn ProgressSink,
 ) -> Result<Option<Poses>, PosesError> {
     let tool = scene.tool().with_matching(Arc::new(matching));
-    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
+    let request =
+        PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1, stamp: "" };
     tool.refine(&request, given, sink, &CancelToken::new())
 }
 
@@ -293,7 +297,8 @@ fn given_poses_are_kept_if_they_fit_as_well_or_cannot_be_checked() {
     };
     let found = refined_by(&nothing, &rough, in_order(), &mut sink).unwrap();
     assert_eq!((found, &*codes), (None, &["poses_unrefined".to_owned()][..]));
-    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
+    let request =
+        PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1, stamp: "" };
     let without = scene.tool().refine(&request, &rough, &mut Silent, &CancelToken::new());
     assert_eq!(without.unwrap(), None, "no networks");
 }

@@ -100,7 +100,7 @@ pub fn place(
         context.advance(Stage::Poses, number, Advance { done, total, per_second });
     };
     let pairs = Pairs::Across(queries.len());
-    let mut found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
+    let mut found = match matching.matches(&pictures, pairs, None, &mut advance, cancel) {
         Ok(found) => found,
         Err(error) if error.is_about_the_tool() => {
             let message = format!("photographs without a pose cannot be placed: {error}");

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use crate::pipeline::context::Context;
 use crate::pipeline::tools::Tools;
+use crate::pipeline::workspace::fingerprint;
 use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
 
 /// Asks for the poses of `views`; COLMAP works in `work_dir`.
@@ -17,6 +18,7 @@ pub fn ask(
     work_dir: &Path,
     seed: u64,
 ) -> Result<Poses, PosesError> {
-    let request = PoseRequest { views, work_dir, seed };
+    let stamp = fingerprint(&[&tools.sfm.describe()]);
+    let request = PoseRequest { views, work_dir, seed, stamp: &stamp };
     tools.sfm.poses(&request, context.sink, context.cancel)
 }
