@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use fled_core::capture::is_of_a_run;
 use fled_core::export::{Crop, Export, ExportError, MOST_SH_DEGREE, Trim};
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;
@@ -68,7 +69,7 @@ fn is_of_run(path: &Path, run: &RunFolder) -> bool {
         return false;
     };
     let below = path.strip_prefix(root).ok().and_then(Path::to_str);
-    below.is_some_and(RunFolder::is_left)
+    below.is_some_and(is_of_a_run)
 }
 
 impl From<ExportError> for Failure {

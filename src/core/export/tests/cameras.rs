@@ -3,17 +3,14 @@ use serde_json::json;
 
 use super::super::cameras;
 use super::*;
-use crate::cancel::CancelToken;
-use crate::capture::PreparedImage;
-use crate::dataset::GivenPoses;
-use crate::event::Silent;
+use crate::capture::{CaptureView, PreparedImage};
+use crate::dataset::{GivenPoses, PlacedPoses};
 use crate::photo_path::PhotoPath;
-use crate::poses::{PoseRequest, PoseView, Poses, Sfm};
 
 const OFFSET: DVec3 = DVec3::new(512_352.0, -5_412_352.0, 64.0);
 
 /// The poses that the importer finds in an exported `transforms.json` for the pictures beside it.
-fn imported(run: &RunFolder, round: Option<u32>) -> Poses {
+fn imported(run: &RunFolder, round: Option<u32>) -> PlacedPoses {
     let file = run.root().join("transforms.json");
     fs::write(&file, written(Export::Transforms, run, round)).expect("written");
     let pictures = pictures(run, round).expect("pictures");
@@ -22,21 +19,23 @@ fn imported(run: &RunFolder, round: Option<u32>) -> Poses {
         let name = picture.path.file_stem().expect("a stem").to_string_lossy().into_owned();
         let image: Image = Image::new(8, 6);
         let prepared = run.root().join(format!("{name}.half"));
-        PoseView {
+        CaptureView {
             name,
             path: PhotoPath::new(&below),
             file: picture.path.clone(),
-            prepared: PreparedImage::write(&image.to_linear(), prepared).expect("written"),
-            original: (8, 6),
+            prepared: PreparedImage::write(&image.to_linear(), &prepared).expect("written"),
+            width: 8,
+            height: 6,
             focal_px: None,
-            masking: None,
+            shot: None,
+            gt: None,
+            mask: None,
         }
     };
-    let views: Vec<PoseView> = pictures.into_iter().map(view).collect();
+    let views: Vec<CaptureView> = pictures.into_iter().map(view).collect();
     let paths: Vec<PhotoPath> = views.iter().map(|view| view.path.clone()).collect();
     let given = GivenPoses::open(&file, &paths).expect("it is read");
-    let request = PoseRequest { views: &views, work_dir: run.root(), seed: 3 };
-    given.poses(&request, &mut Silent, &CancelToken::new()).expect("poses")
+    given.place(&views).expect("poses")
 }
 
 fn assert_imported(run: &RunFolder, round: Option<u32>, offset: DVec3) {
