@@ -70,8 +70,13 @@ fn a_finished_run_becomes_videos_and_exports() {
     assert_eq!(code(&output), 0, "{}", said(&output));
     let size = |path: &Path| path.metadata().expect("there").len();
     assert!(4 * size(&small) < size(&run.join("scene.ply")) + 4000);
-    let padded = folder.path().join("padded.ply");
-    let output = made(&["export", "scene.ply", "--sh-degree", "3"], &run, &padded);
+    the_scene_is_trimmed(folder.path(), &run);
+}
+
+/// Its harmonics are padded, and it is cropped.
+fn the_scene_is_trimmed(folder: &Path, run: &Path) {
+    let padded = folder.join("padded.ply");
+    let output = made(&["export", "scene.ply", "--sh-degree", "3"], run, &padded);
     assert_eq!(code(&output), 0, "{}", said(&output));
     let gaussians = ply::read_extent(&run.join("scene.ply")).expect("a scene").gaussians;
     let bytes = std::fs::read(&padded).expect("there");
@@ -79,7 +84,7 @@ fn a_finished_run_becomes_videos_and_exports() {
     let header = bytes.windows(end.len()).position(|words| words == end).expect("a header");
     assert_eq!(bytes.len(), header + end.len() + 248 * gaussians);
     let kept = |shape: &str| {
-        let output = made(&["export", "scene.ply", "--crop", shape], &run, &padded);
+        let output = made(&["export", "scene.ply", "--crop", shape], run, &padded);
         assert_eq!(code(&output), 0, "{}", said(&output));
         ply::read_extent(&padded).expect("a scene").gaussians
     };
@@ -89,11 +94,11 @@ fn a_finished_run_becomes_videos_and_exports() {
         (&["export", "scene.ply", "--crop", "sphere:1e6,0,0,1"][..], "the middle of the scene is"),
         (&["export", "restored.zip", "--sh-degree", "1"], "restored.zip holds no scene"),
     ] {
-        let output = made(arguments, &run, &padded);
+        let output = made(arguments, run, &padded);
         assert_eq!(code(&output), 3, "{}", said(&output));
         assert!(said(&output).contains(fault), "{}", said(&output));
     }
-    let output = made(&["export", "scene.ply"], &run, &run.join("scene.ply"));
+    let output = made(&["export", "scene.ply"], run, &run.join("scene.ply"));
     assert_eq!(code(&output), 2, "{}", said(&output));
     assert!(said(&output).contains("a file of the run itself"), "{}", said(&output));
 }
