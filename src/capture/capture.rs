@@ -2,8 +2,7 @@
 //!
 //! Photographs are directly in the capture, in `images/` or where `place` finds them; sharp ground
 //! truth with the same names is in `gt/` (or `HL/`, as in LuSh-NeRF); poses, if given, are where
-//! `pose_files` finds them. Poses are located here, and read only to find the largest of several
-//! models. Wrapper folders are looked through; hidden files are ignored.
+//! `pose_files` finds them. Wrapper folders are looked through; hidden files are ignored.
 
 mod archive;
 mod assess;
@@ -124,7 +123,7 @@ impl Inspection {
         let layout = Source::of(path)?.layout(&scratch_dir.join("unpacked"))?;
         let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
-        let poses = placed(layout.poses.as_ref(), &photographs, &views)?;
+        let poses = placed(layout.poses.as_ref(), &photographs, &views);
         Ok(Self { accepted: views.len(), photographs, assessments, warnings, poses })
     }
 }
@@ -163,6 +162,8 @@ impl Capture {
         let preparation = Preparation::new(out, side);
         let source = Source::of(path)?;
         let contents = source.contents()?;
+        preparation.expect_free()?;
+        let lock = preparation.lock()?;
         if let Some(capture) = preparation.before(&contents) {
             return Ok(capture);
         }
@@ -176,6 +177,7 @@ impl Capture {
         if prepared.is_err() {
             preparation.abandon();
         }
+        drop(lock);
         prepared
     }
 
@@ -188,7 +190,7 @@ impl Capture {
         let assessed = assess::assess(&layout, watch, Some(preparation))
             .map_err(CaptureError::io(&preparation.folder))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
-        let poses = placed(layout.poses.as_ref(), &photographs, &views)?;
+        let poses = placed(layout.poses.as_ref(), &photographs, &views);
         let hold = layout.hold;
         Ok(Self { views, photographs, assessments, warnings, poses, hold, fingerprint })
     }
@@ -204,6 +206,37 @@ impl Capture {
     /// [`CaptureError::Unprepared`] if there is none of this build, whole.
     pub fn prepared(folder: &Path) -> Result<Self, CaptureError> {
         Preparation::read(folder)
+    }
+
+    /// As [`Capture::prepared`], for one that a user gives in place of photographs. Its fingerprint
+    /// is that of the manifest: what was kept of runs of the photographs themselves is not used.
+    ///
+    /// # Errors
+    /// As [`Capture::prepared`].
+    pub fn given(folder: &Path) -> Result<Self, CaptureError> {
+        let fingerprint = Preparation::digest(folder)?;
+        Ok(Self { fingerprint, ..Preparation::read(folder)? })
+    }
+
+    /// Checks that a capture may be prepared in a folder, and makes it.
+    ///
+    /// # Errors
+    /// [`CaptureError::Occupied`], [`CaptureError::Io`].
+    pub fn expect_free(out: &Path) -> Result<(), CaptureError> {
+        Preparation::new(out, PREPARED_SIDE).expect_free()
+    }
+
+    /// Removes a prepared capture, but not photographs taken from a video.
+    ///
+    /// # Errors
+    /// [`CaptureError::Io`].
+    pub fn discard(folder: &Path) -> Result<(), CaptureError> {
+        Preparation::new(folder, PREPARED_SIDE).discard().map_err(CaptureError::io(folder))
+    }
+
+    /// Removes the photographs taken from videos.
+    pub fn discard_frames(out: &Path) {
+        Preparation::new(out, PREPARED_SIDE).clear_frames();
     }
 
     /// Checks that the prepared images are as large as a run with images of at most `side` px
@@ -282,25 +315,24 @@ impl<'a> Source<'a> {
     }
 }
 
-/// # Errors
-/// [`CaptureError::Io`] if the file of the poses cannot be read at all.
+/// The poses of these photographs in the file that came along.
 fn placed(
     file: Option<&GivenPosesFile>,
     photographs: &[PhotoPath],
     views: &[CaptureView],
-) -> Result<Option<CapturePoses>, CaptureError> {
-    let Some(file) = file else {
-        return Ok(None);
-    };
+) -> Option<CapturePoses> {
+    let file = file?;
     let placed = GivenPoses::open(file.path(), photographs).and_then(|given| given.place(views));
     let placement = match placed {
         Ok(placed) => Placement::Placed(placed),
         Err(PoseFileError::BadFile { file, reason }) => {
             Placement::Unusable { file: name_of(&file).into_owned(), reason }
         }
-        Err(PoseFileError::Io { path, source }) => return Err(CaptureError::Io { path, source }),
+        Err(PoseFileError::Io { path, source }) => {
+            Placement::Unusable { file: name_of(&path).into_owned(), reason: source.to_string() }
+        }
     };
-    Ok(Some(CapturePoses { file: file.clone(), placement }))
+    Some(CapturePoses { file: file.clone(), placement })
 }
 
 /// # Errors

@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use given_view::GivenView;
 use placed::Placed;
 
-use crate::capture::{CaptureView, CaptureWarning};
+use crate::capture::{CaptureView, CaptureWarning, MIN_VIEWS};
 use crate::photo_path::{PhotoPath, Tie, find_each};
 use crate::poses::left_out::in_words;
 use crate::poses::model::SparseModel;
@@ -64,7 +64,7 @@ pub struct PlacedPoses {
     pub turned: usize,
     /// Poses that cannot be used, by their names in the file.
     pub left_out: Vec<LeftOut>,
-    /// A name in the file and one of a photograph, if the names in the file are of no photograph.
+    /// A name in the file and one of a photograph, if too few photographs have the names in it.
     pub unlike_names: Option<String>,
 }
 
@@ -150,6 +150,8 @@ impl GivenPoses {
         let of_photograph: HashMap<&PhotoPath, &GivenView> =
             { all }.filter_map(|(path, given)| Some((path, given.as_ref()?))).collect();
         let placed = Placed::of(views, &of_photograph, &mut given)?;
+        let is_few = placed.views.len() < MIN_VIEWS;
+        let unlike_names = if is_few { self.unlike_names() } else { None };
         let mut warnings: Vec<CaptureWarning> = self.warning_of_order().into_iter().collect();
         warnings.extend(self.warnings(&given, &placed));
         Ok(PlacedPoses {
@@ -163,7 +165,7 @@ impl GivenPoses {
             turned: placed.turned.len(),
             left_out: given.left_out,
             warnings,
-            unlike_names: self.unlike_names(),
+            unlike_names,
         })
     }
 

@@ -8,8 +8,9 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::capture::CaptureView;
 use crate::image::shares::{self, Shares};
-use crate::image::{Header, Image, ImageError, Linear, Orientation, read_header};
+use crate::image::{Image, ImageError, Linear, Orientation, read_header};
 
 /// Smallest unmasked share of a pixel's area at which it counts: a resized pixel mixes the colours
 /// of its area. All of it, up to rounding.
@@ -147,29 +148,35 @@ pub struct MaskPicture {
 }
 
 impl MaskPicture {
-    /// The pixels that count of the upright photograph with this header, at this size of its
-    /// aspect. `undistort` moves them as it does the photograph's, at any size.
+    /// The pixels that count of a photograph, at this size of its aspect. `undistort` moves them as
+    /// it does the photograph's, at any size.
     ///
     /// # Errors
     /// [`ImageError`].
     pub fn load(
         &self,
-        photograph: &Header,
+        photograph: &CaptureView,
         (width, height): (usize, usize),
         undistort: impl Fn(&Image<Linear>) -> Image<Linear>,
     ) -> Result<Mask, ImageError> {
-        let shares = self.shares(photograph)?.at(width, height);
+        let upright = (photograph.width, photograph.height);
+        let orientation = Orientation::from_exif(photograph.orientation);
+        let orientation = orientation.unwrap_or(Orientation::NoTransforms);
+        let shares = self.shares(orientation, upright)?.at(width, height);
         Ok(Mask::of_shares(&undistort(&shares)))
     }
 
-    /// The counted share of each of its pixels, rotated like the stored pixels of the photograph
-    /// with this header. A picture that fits only the upright photograph is upright itself.
+    /// The counted share of each of its pixels, rotated like the stored pixels of a photograph that
+    /// is turned upright by `orientation`. A picture that fits only the `upright` photograph, width
+    /// and height in px, is upright itself.
     ///
     /// # Errors
     /// [`ImageError`].
-    pub(crate) fn shares(&self, photograph: &Header) -> Result<Shares, ImageError> {
-        let (orientation, upright) =
-            (photograph.orientation, (photograph.width, photograph.height));
+    pub(crate) fn shares(
+        &self,
+        orientation: Orientation,
+        upright: (usize, usize),
+    ) -> Result<Shares, ImageError> {
         let header = read_header(&self.file)?;
         // Ignore the mask's own EXIF, which tools may have copied from a photograph.
         let stored = match header.orientation.to_exif() {

@@ -1,4 +1,4 @@
-//! Paths in JSON: as text, or as bytes where they are no UTF-8.
+//! Paths in JSON: as text, or as bytes where they are not UTF-8.
 
 use std::ffi::OsString;
 use std::os::unix::ffi::{OsStrExt, OsStringExt};

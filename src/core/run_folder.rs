@@ -298,9 +298,11 @@ impl WorkFolder {
     }
 
     /// The files and folders deleted when a run succeeds: the large ones of these.
-    pub fn disposable(&self) -> [PathBuf; 5] {
+    pub fn disposable(&self) -> [PathBuf; 6] {
         [
             self.prepared(),
+            // Where builds before CODE_VERSION 10 prepared and unpacked it.
+            self.root.join("capture"),
             self.root.join(KeptImages::Deblurred.name()),
             self.root.join(KeptImages::Brightened.name()),
             self.late_views(),

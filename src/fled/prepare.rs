@@ -1,6 +1,7 @@
 //! `fled prepare`: reads the files of a capture, in a process of its own. A decoder that crashes or
 //! takes much memory ends this process, not the run that waits for it.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::process::ExitStatusExt;
@@ -26,8 +27,11 @@ use serde::{Deserialize, Serialize};
 use crate::failure::{Failure, io};
 use crate::tools;
 
-/// How often a run that waits looks whether it was cancelled.
+/// How often a waiting run checks whether it was cancelled.
 const LOOK: Duration = Duration::from_millis(100);
+
+/// The signals of a crash: SIGILL, SIGABRT, SIGFPE and SIGSEGV.
+const CRASHES: [i32; 4] = [4, 6, 8, 11];
 
 /// Arguments of `fled prepare`.
 #[derive(clap::Args)]
@@ -44,6 +48,9 @@ pub struct Args {
     /// Progress as JSON lines on standard output.
     #[arg(long)]
     json: bool,
+    /// Keep the photographs taken from a video for another preparation.
+    #[arg(long)]
+    keep_frames: bool,
 }
 
 /// What is read.
@@ -72,9 +79,9 @@ enum Message {
     Warning { code: String, message: String },
     /// A line for the log.
     Log { message: String },
-    /// The capture is prepared. Last line.
+    /// The capture is prepared. The last message.
     Prepared,
-    /// It is not. Last line.
+    /// The capture is not prepared. The last message.
     Failed { kind: ErrorKind, detail: String, hint: String, assessments: Vec<Assessment> },
 }
 
@@ -90,8 +97,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let report = move |message: Message| match message {
         message if is_json => print(&message),
         Message::Begins { name } => shown.set_message(format!("reading {name}")),
-        Message::Warning { code, message } => eprintln!("warning ({code}): {message}"),
-        Message::Log { message } => eprintln!("{message}"),
+        Message::Warning { code, message } => {
+            shown.suspend(|| eprintln!("warning ({code}): {message}"));
+        }
+        Message::Log { message } => shown.suspend(|| eprintln!("{message}")),
         _ => {}
     };
     let outcome = prepare(args, &report, &cancel);
@@ -112,6 +121,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             }
             let (kind, detail, hint) = (failure.kind, failure.detail.clone(), failure.hint.clone());
             report(Message::Failed { kind, detail, hint, assessments });
+            if is_json {
+                // The reader of the message reports it.
+                std::process::exit(kind.exit_code().into());
+            }
             Err(failure)
         }
     }
@@ -138,18 +151,36 @@ fn prepare(
     cancel: &CancelToken,
 ) -> Result<Capture, (Failure, Vec<Assessment>)> {
     let source = &args.source;
+    let refused = |error: CaptureError| (PipelineError::from(error).into(), Vec::new());
+    Capture::expect_free(&args.out).map_err(refused)?;
     let photographs = if source.capture.is_file() && video::is_video(&source.capture) {
         frames(source, &args.out, report, cancel).map_err(|failure| (failure, Vec::new()))?
     } else {
         source.capture.clone()
     };
     let tell = |look: Look<'_>| match look {
+        Look::Begins(_) if cancel.is_cancelled() => {
+            // The next preparation clears what this one leaves.
+            let failure = Failure::new(ErrorKind::Cancelled, "cancelled");
+            report(Message::Failed {
+                kind: failure.kind,
+                detail: failure.detail.clone(),
+                hint: failure.hint.clone(),
+                assessments: Vec::new(),
+            });
+            failure.report();
+            std::process::exit(failure.kind.exit_code().into());
+        }
         Look::Begins(name) => report(Message::Begins { name: name.to_owned() }),
         Look::Ended(name) => report(Message::Ended { name: name.to_owned() }),
         Look::Seen(..) => {}
     };
     let watch = Watch { tell: &tell, ..Watch::nobody() };
-    Capture::prepare(&photographs, &args.out, args.size, &watch).map_err(|error| {
+    let capture = Capture::prepare(&photographs, &args.out, args.size, &watch);
+    if !args.keep_frames {
+        Capture::discard_frames(&args.out);
+    }
+    capture.map_err(|error| {
         let assessments = match &error {
             CaptureError::TooFew { assessments, .. } => assessments.clone(),
             _ => Vec::new(),
@@ -217,15 +248,16 @@ pub fn open(
     cancel: &CancelToken,
 ) -> Result<Capture, Failure> {
     let capture = if Capture::is_prepared(&source.capture) {
-        let capture = Capture::prepared(&source.capture).map_err(PipelineError::from)?;
+        let capture = Capture::given(&source.capture).map_err(PipelineError::from)?;
         capture.expect_side(side).map_err(PipelineError::from)?;
         capture
     } else {
         let program = std::env::current_exe().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
         let mut command = Command::new(program);
-        command.arg("prepare").arg(&source.capture).arg("--out").arg(out).arg("--json");
+        command.args(["prepare", "--json", "--keep-frames"]);
         command.args(["--size", &side.to_string(), "--frames", &source.frames.to_string()]);
-        command.arg("--ffmpeg").arg(&source.ffmpeg.program);
+        command.arg(option("--out=", out)).arg(option("--ffmpeg=", &source.ffmpeg.program));
+        command.arg("--").arg(&source.capture);
         follow(&mut command, sink, cancel)?;
         Capture::prepared(out).map_err(PipelineError::from)?
     };
@@ -234,6 +266,13 @@ pub fn open(
         sink.warn(&warning.code, warning.message.clone());
     }
     Ok(capture)
+}
+
+/// An option whose value may begin with a hyphen.
+fn option(name: &str, value: &Path) -> OsString {
+    let mut option = OsString::from(name);
+    option.push(value);
+    option
 }
 
 /// Reports unused photographs with the reason, and the warnings of each photograph.
@@ -266,6 +305,10 @@ fn follow(
     });
     let mut in_work: Vec<String> = Vec::new();
     loop {
+        if cancel.is_cancelled() {
+            child.kill();
+            return Err(Failure::new(ErrorKind::Cancelled, "cancelled"));
+        }
         match messages.recv_timeout(LOOK) {
             Ok(Message::Begins { name }) => in_work.push(name),
             Ok(Message::Ended { name }) => {
@@ -276,12 +319,9 @@ fn follow(
             Ok(Message::Log { message }) => sink.log(message),
             Ok(Message::Prepared) => return child.wait().map(drop).map_err(internal),
             Ok(Message::Failed { kind, detail, hint, assessments }) => {
+                child.wait().map_err(internal)?;
                 show(&assessments, sink);
                 return Err(Failure { hint, ..Failure::new(kind, detail) });
-            }
-            Err(RecvTimeoutError::Timeout) if cancel.is_cancelled() => {
-                child.kill();
-                return Err(Failure::new(ErrorKind::Cancelled, "cancelled"));
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
@@ -294,14 +334,19 @@ fn follow(
 /// The failure for a child that ended without a last word.
 fn died(status: ExitStatus, in_work: &[String]) -> Failure {
     let during = match in_work {
-        [] => "the capture was read".to_owned(),
-        names => format!("{} was read", names.join(" or ")),
+        [] => "the capture".to_owned(),
+        names => names.join(" and "),
     };
-    let detail = format!("the process that reads photographs ended ({status}) while {during}");
+    let detail =
+        format!("the process that reads photographs ended ({status}) while reading {during}");
+    let is_crash = status.signal().is_some_and(|signal| CRASHES.contains(&signal));
     let (kind, hint) = match (status.signal(), in_work) {
         (Some(9), _) => (ErrorKind::OomHost, "Memory may have run out: close other programs."),
-        (_, []) => (ErrorKind::Internal, ErrorKind::Internal.hint()),
-        _ => (ErrorKind::BadInput, "Remove it from the capture, or save it in another format."),
+        (_, [_, ..]) if is_crash => (
+            ErrorKind::BadInput,
+            "Remove it from the capture or save it in another format, if memory has not run out.",
+        ),
+        _ => (ErrorKind::Internal, ErrorKind::Internal.hint()),
     };
     Failure { hint: hint.to_owned(), ..Failure::new(kind, detail) }
 }
@@ -322,7 +367,7 @@ mod tests {
         let script = script + &begins("b.jpg") + "kill -ABRT $$";
         let failure = run(&script, &mut Silent).expect_err("it died");
         assert_eq!(failure.kind, ErrorKind::BadInput);
-        assert!(failure.detail.contains("while b.jpg was read"), "{}", failure.detail);
+        assert!(failure.detail.contains("while reading b.jpg"), "{}", failure.detail);
         let failure = run("kill -KILL $$", &mut Silent).expect_err("it died");
         assert_eq!(failure.kind, ErrorKind::OomHost);
         let failure = run("exit 0", &mut Silent).expect_err("no last word");
@@ -347,12 +392,15 @@ mod tests {
     }
 
     #[test]
-    fn a_cancelled_run_does_not_wait_for_the_reader() {
-        let cancel = CancelToken::new();
-        cancel.cancel();
-        let begun = std::time::Instant::now();
-        let outcome = follow(Command::new("sleep").arg("30"), &mut Silent, &cancel);
-        assert_eq!(outcome.expect_err("cancelled").kind, ErrorKind::Cancelled);
-        assert!(begun.elapsed().as_secs() < 10);
+    fn a_cancelled_run_waits_neither_for_a_silent_nor_for_a_busy_reader() {
+        let busy = r#"while :; do echo '{"event":"ended","name":"a"}'; done"#;
+        for script in ["sleep 30", busy] {
+            let cancel = CancelToken::new();
+            cancel.cancel();
+            let begun = std::time::Instant::now();
+            let outcome = follow(Command::new("sh").args(["-c", script]), &mut Silent, &cancel);
+            assert_eq!(outcome.expect_err("cancelled").kind, ErrorKind::Cancelled);
+            assert!(begun.elapsed().as_secs() < 10);
+        }
     }
 }

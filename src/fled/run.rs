@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long)]
     json: bool,
     /// Remove what only another run into the same folder, with other options, would use again:
-    /// the unpacked capture and the deblurred views in full precision.
+    /// the prepared capture and the deblurred views in full precision.
     #[arg(long)]
     discard_work: bool,
     #[command(flatten)]

@@ -195,7 +195,10 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
 /// Whether a file of a job's folder is shared: files left by renders and processes are not, nor is
 /// the prepared capture, which another machine prepares again in seconds.
 pub fn is_kept(path: &str) -> bool {
-    let is_prepared = path.starts_with("output/work/capture/");
+    // Builds before CODE_VERSION 10 kept it in `capture`.
+    let is_prepared = ["prepared", "capture"]
+        .iter()
+        .any(|folder| path.starts_with(&format!("output/work/{folder}/")));
     path == "log.txt" || path.starts_with("output/") && !is_prepared
 }
 

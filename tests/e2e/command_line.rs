@@ -60,20 +60,6 @@ fn every_photograph_that_is_not_used_is_named_with_its_reason() {
 }
 
 #[test]
-fn frames_that_an_earlier_build_took_of_a_video_are_taken_again() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let (video, out) = (folder.path().join("walk.mp4"), folder.path().join("out"));
-    fs::write(&video, "a video").expect("written");
-    let digest = blake3::hash(b"a video").to_hex();
-    // As builds before CODE_VERSION 5 named them.
-    let frames = out.join("work/prepared").join(format!(".frames-40-{}", &digest[..16]));
-    fs::create_dir_all(&frames).expect("folder");
-    let [video, out] = [&video, &out].map(|path| path.display().to_string());
-    let output = fled(&["run", &video, "--out", &out, "--ffmpeg", "/nowhere/ffmpeg"]);
-    assert_eq!(code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-#[test]
 fn a_missing_adapter_exits_with_four_and_an_event() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());

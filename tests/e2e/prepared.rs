@@ -53,5 +53,8 @@ fn a_folder_with_other_files_and_a_damaged_capture_are_refused() {
     let run = small_run(&out, &folder.path().join("run"), 1).output().expect("started");
     assert_eq!(run.status.code(), Some(3));
     let said = String::from_utf8_lossy(&run.stderr).into_owned();
-    assert!(said.contains("no whole prepared capture") && said.contains("fled prepare"), "{said}");
+    assert!(
+        said.contains("not a complete capture prepared") && said.contains("fled prepare"),
+        "{said}"
+    );
 }

@@ -82,7 +82,10 @@ pub(super) fn assess(
                 let view = assessed.views.last_mut().expect("one was accepted");
                 view.mask.clone_from(&masked.mask);
             }
-            Err(fault) => assessed.assessments.push(fault.assessment(entry)),
+            Err(fault) => {
+                masked.discard();
+                assessed.assessments.push(fault.assessment(entry));
+            }
         }
     }
     assessed.assessments.extend(layout.unused.iter().map(unused));
@@ -138,7 +141,7 @@ fn median(mut values: Vec<f32>) -> f32 {
 
 impl Assessed {
     fn accept(&mut self, entry: &Entry, seen: &Seen, name: String, typical_sharpness: f32) {
-        let Header { width, height, focal_px, shot, .. } = seen.header;
+        let Header { width, height, orientation, focal_px, shot, .. } = seen.header;
         self.assessments.push(Assessment {
             name: entry.name().to_string(),
             accepted: true,
@@ -159,6 +162,7 @@ impl Assessed {
             width,
             height,
             focal_px,
+            orientation: orientation.to_exif(),
             shot,
             prepared: seen.prepared.clone().unwrap_or_else(PreparedImage::none),
             gt: None,

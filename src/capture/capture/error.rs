@@ -67,7 +67,7 @@ pub enum CaptureError {
         path: PathBuf,
     },
     /// A prepared capture cannot be used.
-    #[error("{} is no whole prepared capture of this build of fled", path.display())]
+    #[error("{} is not a complete capture prepared by this build of fled", path.display())]
     Unprepared {
         /// Its folder.
         path: PathBuf,

@@ -6,10 +6,7 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::image::shares::Shares;
-use crate::image::{
-    Header, Image, ImageError, Linear, Srgb, Unread, at_most, read_header, srgb_to_linear,
-};
+use crate::image::{Header, Image, ImageError, Linear, Srgb, Unread, read_header, srgb_to_linear};
 
 use super::budget::DecodeBudget;
 use super::entries::Entry;
@@ -182,26 +179,21 @@ impl<'a> Assessor<'a> {
         written.ok()
     }
 
-    /// Writes how much each pixel of photograph `index` counts, at the size of its prepared image:
-    /// the least of what its masks say.
+    /// Longest side of prepared images, px, if the capture is prepared.
+    pub(super) fn prepared_side(&self) -> Option<usize> {
+        self.preparation.map(|preparation| preparation.side)
+    }
+
+    /// Writes how much each pixel of photograph `index` counts.
     pub(super) fn prepared_mask(
         &self,
         index: usize,
-        photograph: &Header,
-        masks: &[Shares],
+        shares: &Image<Linear>,
     ) -> Option<PreparedImage> {
-        let Some(preparation) = self.preparation else {
-            return Some(PreparedImage::none());
-        };
-        let side = preparation.side;
-        let (width, height) = at_most(photograph.width, photograph.height, side);
-        let mut all = Image::<Linear>::new(width, height).map(|_| 1.0);
-        for shares in masks {
-            let other = shares.at(width, height);
-            let pairs = all.data_mut().iter_mut().zip(other.data());
-            pairs.for_each(|(least, share)| *least = least.min(*share));
+        match self.preparation {
+            Some(preparation) => self.written(preparation.write(shares, Kind::Mask, index)),
+            None => Some(PreparedImage::none()),
         }
-        self.written(preparation.write(&all, Kind::Mask, index))
     }
 
     fn look_at(&self, index: usize, entry: &Entry) -> Result<Seen, Fault> {

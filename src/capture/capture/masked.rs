@@ -7,8 +7,8 @@ use super::look::{Assessor, Fault, Seen, on_few_threads};
 use super::masks::Masks;
 use super::photograph::{CaptureView, CaptureWarning};
 use super::prepared::PreparedImage;
-use crate::image::shares;
-use crate::image::{Header, ImageError, at_most};
+use crate::image::shares::{self, Shares};
+use crate::image::{Header, Image, ImageError, Linear, at_most};
 use crate::mask::Mask;
 
 /// Long side at which masks are assessed, px: the same as for photographs.
@@ -29,6 +29,11 @@ pub(super) struct Masked {
 }
 
 impl Masked {
+    /// Removes the mask of a photograph that is not used.
+    pub(super) fn discard(&self) {
+        self.mask.iter().for_each(PreparedImage::remove);
+    }
+
     /// Why the photograph is not used.
     pub(super) fn fault(&self) -> Option<Fault> {
         self.hides_all.then(|| Fault::of("its mask hides all of it".to_owned()))
@@ -42,27 +47,57 @@ impl Masked {
         assessor: &Assessor<'_>,
     ) -> Self {
         let mut own = Self::default();
-        let mut all = Vec::new();
+        let mut all = Counted::of(header, assessor.prepared_side());
+        let upright = (header.width, header.height);
         for (mask, picture) in masks.of(&entry.path) {
-            match assessor.decoding(mask, || picture.shares(header)) {
-                Ok(shares) => all.push(shares),
-                Err(error) => own.faults.push((mask.path.to_string(), error)),
+            let read = || picture.shares(header.orientation, upright).map(|one| all.add(&one));
+            if let Err(error) = assessor.decoding(mask, read) {
+                own.faults.push((mask.path.to_string(), error));
             }
         }
         if header.has_alpha {
+            let read = || shares::of_alpha(&entry.file).map(|alpha| alpha.map(|one| all.add(&one)));
             // The photograph has already been decoded.
-            let alpha = assessor.decoding(entry, || shares::of_alpha(&entry.file));
-            all.extend(alpha.ok().flatten());
+            let _ = assessor.decoding(entry, read);
         }
-        if all.is_empty() {
-            return own;
+        if all.count > 0 {
+            own.hides_all = all.left.share() < LEAST_LEFT;
+            own.mask =
+                (!own.hides_all).then(|| assessor.prepared_mask(index, &all.least)).flatten();
         }
-        let (width, height) = at_most(header.width, header.height, ASSESSED_SIDE);
-        let left = all.iter().map(|shares| Mask::of_shares(&shares.at(width, height)));
-        let left = left.fold(Mask::full(width, height), |left, mask| left.and(&mask));
-        own.hides_all = left.share() < LEAST_LEFT;
-        own.mask = assessor.prepared_mask(index, header, &all);
         own
+    }
+}
+
+/// What the masks of a photograph leave of it.
+struct Counted {
+    /// Number of masks.
+    count: usize,
+    /// At a small size, to measure.
+    left: Mask,
+    /// The least share of each pixel of the prepared image; empty if none is prepared.
+    least: Image<Linear>,
+}
+
+impl Counted {
+    fn of(header: &Header, side: Option<usize>) -> Self {
+        let (width, height) = at_most(header.width, header.height, ASSESSED_SIDE);
+        let least = side.map(|side| at_most(header.width, header.height, side));
+        let (wide, high) = least.unwrap_or_default();
+        let least = Image::<Linear>::new(wide, high).map(|_| 1.0);
+        Self { count: 0, left: Mask::full(width, height), least }
+    }
+
+    fn add(&mut self, shares: &Shares) {
+        self.count += 1;
+        let [width, height] = self.left.size();
+        self.left = self.left.and(&Mask::of_shares(&shares.at(width, height)));
+        if self.least.data().is_empty() {
+            return;
+        }
+        let other = shares.at(self.least.width(), self.least.height());
+        let pairs = self.least.data_mut().iter_mut().zip(other.data());
+        pairs.for_each(|(least, share)| *least = least.min(*share));
     }
 }
 

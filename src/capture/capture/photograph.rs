@@ -16,8 +16,8 @@ pub struct CaptureView {
     pub name: String,
     /// The owner's path below the folder of the photographs, never a path on this machine.
     pub path: PhotoPath,
-    /// The original, which the pipeline does not read.
-    #[serde(with = "crate::path_serde")]
+    /// The original, until it is prepared; none in a capture that was prepared before.
+    #[serde(skip)]
     pub file: PathBuf,
     /// The image that the pipeline reads instead.
     pub prepared: PreparedImage,
@@ -25,6 +25,8 @@ pub struct CaptureView {
     pub width: usize,
     /// Height of the upright photograph, px.
     pub height: usize,
+    /// How the stored pixels are turned upright, as in EXIF: 1 to 8.
+    pub orientation: u8,
     /// Focal length in px, from EXIF.
     pub focal_px: Option<f64>,
     /// The exposure, from EXIF.

@@ -1,14 +1,15 @@
 //! The folder of a prepared capture.
 
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::Capture;
-use super::error::CaptureError;
+use super::assess::view_names;
+use super::error::{CaptureError, MIN_VIEWS};
 use super::prepared::PreparedImage;
+use super::{Capture, Placement};
 use crate::image::{Image, Linear, write_atomic};
 
 /// Raised when prepared images of equal photographs, or the manifest, change.
@@ -22,6 +23,9 @@ const IMAGE: &str = ".half";
 
 /// Where a zip is unpacked while it is read.
 const UNPACKED: &str = ".unpacked";
+
+/// Locked while a capture is prepared.
+const LOCK: &str = ".lock";
 
 /// The start of the names of folders with photographs taken from a video.
 const FRAMES: &str = ".frames-";
@@ -70,12 +74,12 @@ impl Preparation {
         kind: Kind,
         index: usize,
     ) -> io::Result<PreparedImage> {
-        let kind = match kind {
-            Kind::View => "view",
-            Kind::GroundTruth => "truth",
-            Kind::Mask => "mask",
-        };
-        PreparedImage::write(image, &self.folder.join(format!("{kind}-{index:05}{IMAGE}")))
+        let path = |kind: &str| self.folder.join(format!("{kind}-{index:05}{IMAGE}"));
+        match kind {
+            Kind::View => PreparedImage::write(image, &path("view")),
+            Kind::GroundTruth => PreparedImage::write(image, &path("truth")),
+            Kind::Mask => PreparedImage::write_grey(image, &path("mask")),
+        }
     }
 
     /// Where a zip is unpacked while it is read.
@@ -103,20 +107,56 @@ impl Preparation {
     pub(super) fn read(folder: &Path) -> Result<Capture, CaptureError> {
         let whole = manifest(folder).filter(|manifest| manifest.stamp.fled_capture == VERSION);
         let whole = whole.and_then(|manifest| located(manifest.capture, folder));
+        let whole = whole.filter(is_sound);
         whole.ok_or_else(|| CaptureError::Unprepared { path: folder.to_owned() })
     }
 
-    /// Makes the folder, without anything of an earlier preparation.
+    /// A digest of the manifest in a folder.
+    ///
+    /// # Errors
+    /// [`CaptureError::Io`].
+    pub(super) fn digest(folder: &Path) -> Result<String, CaptureError> {
+        let path = folder.join(MANIFEST);
+        let bytes = fs::read(&path).map_err(CaptureError::io(&path))?;
+        Ok(blake3::hash(&bytes).to_hex().to_string())
+    }
+
+    /// Makes the folder, and checks that all in it is of a preparation.
     ///
     /// # Errors
     /// [`CaptureError::Occupied`], [`CaptureError::Io`].
-    pub(super) fn begin(&self) -> Result<(), CaptureError> {
+    pub(super) fn expect_free(&self) -> Result<(), CaptureError> {
         let failed = || CaptureError::io(&self.folder);
         fs::create_dir_all(&self.folder).map_err(failed())?;
-        if let Some(path) = self.entries(|name| !is_ours(name)).map_err(failed())?.pop() {
-            return Err(CaptureError::Occupied { path });
+        match self.entries(|name| !is_ours(name)).map_err(failed())?.pop() {
+            Some(path) => Err(CaptureError::Occupied { path }),
+            None => Ok(()),
         }
-        self.remove(is_remade).map_err(failed())
+    }
+
+    /// Waits until no other process prepares here, and keeps others waiting until the file is
+    /// dropped.
+    ///
+    /// # Errors
+    /// [`CaptureError::Io`].
+    pub(super) fn lock(&self) -> Result<File, CaptureError> {
+        let path = self.folder.join(LOCK);
+        let file = File::create(&path).and_then(|file| file.lock().map(|()| file));
+        file.map_err(CaptureError::io(&path))
+    }
+
+    /// Removes what an earlier preparation made.
+    ///
+    /// # Errors
+    /// [`CaptureError::Io`].
+    pub(super) fn begin(&self) -> Result<(), CaptureError> {
+        self.remove(is_remade).map_err(CaptureError::io(&self.folder))
+    }
+
+    /// Removes photographs taken from a video.
+    pub(super) fn clear_frames(&self) {
+        // They are hidden, and the next preparation removes or uses them.
+        let _ = self.remove(|name| name.starts_with(FRAMES));
     }
 
     /// Removes what was unpacked.
@@ -128,7 +168,22 @@ impl Preparation {
     /// Removes what was written.
     pub(super) fn abandon(&self) {
         // The error that led here is the one worth reporting.
-        let _ = self.remove(is_remade).and_then(|()| fs::remove_dir(&self.folder));
+        let _ = self.discard();
+    }
+
+    /// Removes the prepared capture, and the folder if nothing else is in it.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub(super) fn discard(&self) -> io::Result<()> {
+        match self.remove(|name| is_remade(name) || name == LOCK) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            outcome => outcome?,
+        }
+        match fs::remove_dir(&self.folder) {
+            Err(error) if error.kind() != io::ErrorKind::DirectoryNotEmpty => Err(error),
+            _ => Ok(()),
+        }
     }
 
     /// Keeps a capture whose images are all prepared.
@@ -173,12 +228,13 @@ pub(super) fn frames(folder: &Path, name: &str) -> PathBuf {
 }
 
 fn is_ours(name: &str) -> bool {
-    is_remade(name) || name.starts_with(FRAMES)
+    is_remade(name) || name == LOCK || name.starts_with(FRAMES)
 }
 
 /// Whether a preparation makes this anew.
 fn is_remade(name: &str) -> bool {
-    name == UNPACKED || name.ends_with(IMAGE) || name.contains(MANIFEST)
+    let is_manifest = name == MANIFEST || (name.starts_with('.') && name.contains(MANIFEST));
+    name == UNPACKED || name.ends_with(IMAGE) || is_manifest
 }
 
 fn manifest(folder: &Path) -> Option<Manifest<Capture>> {
@@ -190,4 +246,20 @@ fn located(mut capture: Capture, folder: &Path) -> Option<Capture> {
     capture.images().for_each(|image| image.place_in(folder));
     let is_whole = capture.images().all(|image| image.is_whole());
     is_whole.then_some(capture)
+}
+
+/// Whether a capture from elsewhere is one that a preparation could have made: names of views
+/// become names of files, and later code relies on the rest.
+fn is_sound(capture: &Capture) -> bool {
+    let names: Vec<&str> = capture.views.iter().map(|view| &*view.name).collect();
+    let accepted = capture.assessments.iter().filter(|one| one.accepted).count();
+    let placed = capture.poses.iter().filter_map(|poses| match &poses.placement {
+        Placement::Placed(placed) => Some(placed),
+        Placement::Unusable { .. } => None,
+    });
+    names.len() >= MIN_VIEWS
+        && accepted == names.len()
+        && view_names(names.iter().copied()).iter().eq(&names)
+        && capture.views.iter().all(|view| view.width.min(view.height) > 0)
+        && { placed }.all(|placed| placed.depths.len() == placed.views.len())
 }

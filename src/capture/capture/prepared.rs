@@ -2,7 +2,7 @@
 //!
 //! A photograph is decoded once, when its capture is opened, and kept as linear light at no more
 //! than [`PREPARED_SIDE`] px. A file is two little-endian `u32` (width and height, px) and three
-//! planes of half floats: nothing to compress in noise, no encoder to wait for, and light below
+//! planes of half floats, one for a mask: nothing to compress in noise, no encoder to wait for, and light below
 //! black or above white has a place. Half floats err by 2^-12 of a value, a tenth of a level of 8
 //! bits at most.
 
@@ -20,6 +20,9 @@ use crate::mask::Mask;
 /// Longest side of prepared images, px, unless a run works on larger ones.
 pub const PREPARED_SIDE: usize = 2_048;
 
+/// Longest side that a prepared image may have, px.
+const MAX_SIDE: usize = 65_535;
+
 /// Bytes before the planes.
 const HEADER: usize = 8;
 
@@ -35,6 +38,8 @@ pub struct PreparedImage {
     pub width: usize,
     /// Height, px.
     pub height: usize,
+    /// Three, or one that stands for three.
+    planes: usize,
 }
 
 impl PreparedImage {
@@ -43,19 +48,32 @@ impl PreparedImage {
     /// # Errors
     /// Whatever the file system says.
     pub fn write(image: &Image<Linear>, path: &Path) -> io::Result<Self> {
-        let mut bytes = Vec::with_capacity(HEADER + 2 * image.data().len());
+        Self::write_planes(image, 3, path)
+    }
+
+    /// Writes the first plane of an image whose planes are equal.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub fn write_grey(image: &Image<Linear>, path: &Path) -> io::Result<Self> {
+        Self::write_planes(image, 1, path)
+    }
+
+    fn write_planes(image: &Image<Linear>, planes: usize, path: &Path) -> io::Result<Self> {
+        let pixels = image.width() * image.height();
+        let mut bytes = Vec::with_capacity(HEADER + 2 * planes * pixels);
         for length in [image.width(), image.height()] {
             bytes.extend((length as u32).to_le_bytes());
         }
         let mut halves = vec![f16::ZERO; image.width()];
-        for row in image.data().chunks(image.width()) {
+        for row in image.data()[..planes * pixels].chunks(image.width()) {
             halves.convert_from_f32_slice(row);
             bytes.extend(halves.iter().flat_map(|half| half.to_le_bytes()));
         }
         fs::write(path, bytes)?;
         let folder = path.parent().unwrap_or(path).to_owned();
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Self { folder, file, width: image.width(), height: image.height() })
+        Ok(Self { folder, file, width: image.width(), height: image.height(), planes })
     }
 
     /// Reads the image at its own size.
@@ -68,7 +86,7 @@ impl PreparedImage {
         let bytes = fs::read(&path).map_err(io)?;
         let mut image = Image::new(self.width, self.height);
         let size = [self.width, self.height].map(|length| (length as u32).to_le_bytes()).concat();
-        if bytes.len() != HEADER + 2 * image.data().len() || !bytes.starts_with(&size) {
+        if bytes.len() as u64 != self.bytes() || !bytes.starts_with(&size) {
             let message = format!("{} is not a whole prepared image", path.display());
             return Err(ImageError::Damaged { message });
         }
@@ -79,6 +97,10 @@ impl PreparedImage {
                 *half = f16::from_le_bytes([bytes[0], bytes[1]]);
             }
             halves.convert_to_f32_slice(row);
+        }
+        let (first, others) = image.data_mut().split_at_mut(self.width * self.height);
+        if self.planes == 1 {
+            others.chunks_exact_mut(first.len()).for_each(|plane| plane.copy_from_slice(first));
         }
         Ok(image)
     }
@@ -114,7 +136,7 @@ impl PreparedImage {
 
     /// Stands for an image that was not kept.
     pub fn none() -> Self {
-        Self { folder: PathBuf::new(), file: String::new(), width: 0, height: 0 }
+        Self { folder: PathBuf::new(), file: String::new(), width: 0, height: 0, planes: 3 }
     }
 
     /// Finds the image in this folder.
@@ -124,10 +146,18 @@ impl PreparedImage {
 
     /// Whether the file is there and has the size of the image.
     pub(super) fn is_whole(&self) -> bool {
-        let bytes = (HEADER + 6 * self.width * self.height) as u64;
-        // A manifest may come from elsewhere: its names are names, not paths.
+        // A manifest may come from elsewhere.
         let is_name = !self.file.contains(['/', '\\']);
-        is_name && self.path().metadata().is_ok_and(|metadata| metadata.len() == bytes)
+        let is_size = |side| (1..=MAX_SIDE).contains(&side);
+        let is_plain = is_name && is_size(self.width) && is_size(self.height);
+        is_plain
+            && matches!(self.planes, 1 | 3)
+            && self.path().metadata().is_ok_and(|metadata| metadata.len() == self.bytes())
+    }
+
+    /// Length of the file.
+    fn bytes(&self) -> u64 {
+        (HEADER + 2 * self.planes * self.width * self.height) as u64
     }
 
     pub(super) fn remove(&self) {

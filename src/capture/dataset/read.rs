@@ -23,7 +23,7 @@ pub(super) fn model(dir: &Path) -> Result<(Assignment, Given), PoseFileError> {
     let views = views.map(|(name, view)| (PhotoPath::new(name), view));
     let given = Given {
         points: model.sparse_points(),
-        mean_error: model.mean_error(),
+        mean_error: model.mean_error().filter(|error| error.is_finite()),
         mean_track: model.mean_track(),
         ..Given::default()
     };

@@ -42,6 +42,7 @@ fn photograph(name: String, path: &str, file: PathBuf) -> CaptureView {
         width: 40,
         height: 30,
         focal_px: None,
+        orientation: 1,
         shot: None,
         gt: None,
         mask: None,

@@ -35,6 +35,7 @@ fn capture() -> Capture {
             width: 40,
             height: 30,
             focal_px: None,
+            orientation: 1,
             shot: None,
             gt: None,
             mask: None,

@@ -7,13 +7,14 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::error::PipelineError;
+use crate::capture::Capture;
 use crate::image::write_atomic;
 use crate::run_folder::RunFolder;
 
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
 /// inputs: a rerun then repeats the stage instead of trusting the artifacts on disk, and cached
 /// poses, renders and frames of videos are made again. Golden runs cannot be blessed otherwise.
-pub const CODE_VERSION: u32 = 9;
+pub const CODE_VERSION: u32 = 10;
 
 /// The output folder of one run. Cheap to clone; holds paths only.
 #[derive(Clone, Debug)]
@@ -43,21 +44,17 @@ impl Workspace {
         &self.folder
     }
 
-    /// Removes the prepared images of the capture, some 17 MB a photograph: a later run prepares
-    /// them again in seconds.
+    /// Removes the prepared images of the capture, some 17 MB a photograph, but not photographs taken
+    /// from a video: a later run prepares them again in seconds.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn discard_prepared(&self) -> Result<(), PipelineError> {
-        let folder = self.folder.work().prepared();
-        match fs::remove_dir_all(&folder) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(PipelineError::io(&folder, e)),
-            _ => Ok(()),
-        }
+        Ok(Capture::discard(&self.folder.work().prepared())?)
     }
 
     /// Removes files that only serve a later run into the same folder with other options: the
-    /// capture as unpacked, the networks' results and the checkpoint.
+    /// prepared capture, the networks' results and the checkpoint.
     ///
     /// # Errors
     /// [`PipelineError::Io`].

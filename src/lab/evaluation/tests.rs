@@ -84,6 +84,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
             width: SIZE[0],
             height: SIZE[1],
             focal_px: None,
+            orientation: 1,
             shot: None,
             gt: None,
             mask: None,

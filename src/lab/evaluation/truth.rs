@@ -9,7 +9,7 @@ use fled_core::cancel::CancelToken;
 use fled_core::capture::{Capture, CaptureError, CaptureView, PREPARED_SIDE, masks_in};
 use fled_core::event::Silent;
 use fled_core::given_poses::GivenSfm;
-use fled_core::image::{Image, read_header};
+use fled_core::image::Image;
 use fled_core::mask::Mask;
 use fled_core::pipeline::error::PipelineError;
 use fled_core::pipeline::poses::pose_view;
@@ -66,10 +66,9 @@ impl Placed<'_> {
         let k = self.camera(size).intrinsics;
         let undistorted = |shares: &Image<_>| self.posed.undistort(shares);
         let load = || {
-            let header = read_header(&self.photograph.file)?;
             let mut all = Mask::full(k.width, k.height);
             for picture in pictures {
-                all = all.and(&picture.load(&header, (k.width, k.height), undistorted)?);
+                all = all.and(&picture.load(self.photograph, (k.width, k.height), undistorted)?);
             }
             Ok(all)
         };

@@ -1,5 +1,7 @@
 //! Prepared images, and how often photographs are decoded for them.
 
+use std::collections::BTreeSet;
+
 use super::*;
 use crate::image::DECODED;
 
@@ -35,7 +37,7 @@ fn each_photograph_is_decoded_once() {
             assert!(view.gt.iter().all(|gt| gt.load_at_most(size).is_ok()));
         }
     }
-    assert_eq!(open(folder.path(), PREPARED_SIDE), opened);
+    assert_eq!(open(folder.path(), PREPARED_SIDE).assessments, opened.assessments);
     assert_eq!(decodes(folder.path()), 4);
     fs::write(folder.path().join("capture/images/d.gpr"), "raw").expect("written");
     let more = open(folder.path(), PREPARED_SIDE);
@@ -70,8 +72,24 @@ fn only_accepted_photographs_leave_images() {
     fs::write(copy, jpeg(2)).expect("written");
     let opened = open(folder.path(), PREPARED_SIDE);
     assert_eq!(opened.views.len(), 3);
-    let files = fs::read_dir(folder.path().join("scratch/prepared")).expect("listed");
-    assert_eq!(files.count(), 5, "three images, a ground truth and the manifest");
+    let listed = || {
+        let files = fs::read_dir(folder.path().join("scratch/prepared")).expect("listed");
+        let names = files.map(|file| file.expect("a file").file_name().into_string());
+        let names: BTreeSet<String> = names.map(|name| name.expect("UTF-8")).collect();
+        names.into_iter().filter(|name| !name.starts_with('.')).collect::<Vec<_>>()
+    };
+    let views = ["view-00000.half", "view-00001.half", "view-00003.half"];
+    assert_eq!(listed()[..2], ["manifest.json", "truth-00000.half"]);
+    assert_eq!(listed()[2..], views);
+    let masks = folder.path().join("capture/masks");
+    fs::create_dir(&masks).expect("made");
+    for name in ["a", "b copy"] {
+        let mask = picture(3, 96, 64).encode(EncodeFormat::Png).expect("encoded");
+        fs::write(masks.join(format!("{name}.png")), mask).expect("written");
+    }
+    assert_eq!(open(folder.path(), PREPARED_SIDE).views.len(), 3);
+    assert_eq!(listed()[..3], ["manifest.json", "mask-00000.half", "truth-00000.half"]);
+    assert_eq!(listed()[3..], views);
     let few = folder.path().join("capture/images/a.jpg");
     fs::remove_file(few).expect("removed");
     fs::remove_file(folder.path().join("capture/images/b.jpg")).expect("removed");
@@ -83,14 +101,16 @@ fn only_accepted_photographs_leave_images() {
 
 #[cfg(unix)]
 #[test]
-fn a_name_that_is_not_utf8_is_prepared_each_time() {
+fn a_capture_with_a_name_that_is_not_utf8_is_prepared_once() {
     use std::os::unix::ffi::OsStrExt;
     let folder = capture();
     let name = std::ffi::OsStr::from_bytes(b"\xff.jpg");
     fs::write(folder.path().join("capture/images").join(name), jpeg(5)).expect("written");
-    for _ in 0..2 {
-        assert_eq!(open(folder.path(), PREPARED_SIDE).views.len(), 4);
-    }
+    let opened = open(folder.path(), PREPARED_SIDE);
+    let count = decodes(folder.path());
+    let again = open(folder.path(), PREPARED_SIDE);
+    assert_eq!((again.views.len(), decodes(folder.path())), (4, count));
+    assert_eq!(again.assessments, opened.assessments);
 }
 
 #[test]
@@ -132,4 +152,46 @@ fn a_damaged_image_is_an_error_until_the_capture_is_opened_again() {
     assert!(opened.views[0].prepared.load().is_err());
     let again = open(folder.path(), PREPARED_SIDE);
     assert!(again.views[0].prepared.load().is_ok(), "prepared again");
+}
+
+#[test]
+fn a_manifest_that_no_preparation_wrote_is_refused() {
+    let folder = capture();
+    open(folder.path(), PREPARED_SIDE);
+    let prepared = folder.path().join("scratch/prepared");
+    let manifest = prepared.join("manifest.json");
+    let whole: serde_json::Value =
+        serde_json::from_slice(&fs::read(&manifest).expect("read")).expect("JSON");
+    assert!(Capture::is_prepared(&prepared) && Capture::prepared(&prepared).is_ok());
+    let given = Capture::given(&prepared).expect("a capture");
+    assert_ne!(given.fingerprint, Capture::prepared(&prepared).expect("read").fingerprint);
+    type Change = fn(&mut serde_json::Value);
+    let changes: [Change; 6] = [
+        |manifest| manifest["fled_capture"] = 2.into(),
+        |manifest| manifest["capture"]["views"][0]["name"] = "../a".into(),
+        |manifest| manifest["capture"]["views"][0]["name"] = "b".into(),
+        |manifest| manifest["capture"]["views"][0]["prepared"]["width"] = 0.into(),
+        |manifest| manifest["capture"]["views"][0]["prepared"]["file"] = "../view.half".into(),
+        |manifest| {
+            manifest["capture"]["views"].as_array_mut().expect("views").pop();
+        },
+    ];
+    for (number, change) in changes.into_iter().enumerate() {
+        let mut changed = whole.clone();
+        change(&mut changed);
+        fs::write(&manifest, changed.to_string()).expect("written");
+        let outcome = Capture::prepared(&prepared);
+        assert!(matches!(outcome, Err(CaptureError::Unprepared { .. })), "{number}: {outcome:?}");
+    }
+}
+
+#[test]
+fn one_folder_is_prepared_by_one_process_at_a_time() {
+    let folder = capture();
+    let captures: Vec<Capture> = std::thread::scope(|scope| {
+        let run = || scope.spawn(|| open(folder.path(), PREPARED_SIDE));
+        [run(), run(), run()].map(|thread| thread.join().expect("prepared")).into()
+    });
+    assert!(captures.iter().all(|capture| capture.views.len() == 3));
+    assert_eq!(decodes(folder.path()), 4, "the others find it prepared");
 }

@@ -74,6 +74,7 @@ impl Stored {
                 height: prepared.height,
                 prepared,
                 focal_px: None,
+                orientation: 1,
                 shot: None,
                 gt: None,
                 mask: None,

@@ -144,7 +144,7 @@ impl SparseModel {
         let point = |p: &ModelPoint| SparsePoint {
             position: p.position,
             colour: p.colour,
-            error: p.error.max(0.0),
+            error: if p.error.is_finite() { p.error.max(0.0) } else { 0.0 },
             track: p.track.len() as u32,
         };
         self.points.iter().map(point).collect()

@@ -27,6 +27,7 @@ fn imported(run: &RunFolder, round: Option<u32>) -> PlacedPoses {
             width: 8,
             height: 6,
             focal_px: None,
+            orientation: 1,
             shot: None,
             gt: None,
             mask: None,

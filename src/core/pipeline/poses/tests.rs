@@ -231,6 +231,7 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         width: 96,
         height: 64,
         focal_px: None,
+        orientation: 1,
         shot: None,
         gt: None,
         mask: None,
