@@ -155,7 +155,8 @@ impl Job {
         let index = Stage::ALL.iter().position(|&s| s == stage).unwrap_or(0) as f64;
         let progress = (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0)
             / f64::from(self.options.round_count());
-        tell(&Event::Progress { progress, eta_seconds: Some(10.0 * (1.0 - progress)) });
+        let left = self.left_after(stage, round).as_secs_f64();
+        tell(&Event::Progress { progress, eta_seconds: Some(left) });
         Ok(())
     }
 
@@ -190,6 +191,14 @@ impl Job {
         self.picture(&picture, view, 0.2 + 0.08 * done as f32)?;
         tell(&Event::ViewSeen { round, step, view: view.clone(), held_out });
         Ok(())
+    }
+
+    /// The time of the stages after this one.
+    fn left_after(&self, stage: Stage, round: u32) -> Duration {
+        let of = |stage: &Stage| TICKS as u32 * self.tick_of(*stage);
+        let later: Duration = Stage::ALL.iter().filter(|other| **other > stage).map(of).sum();
+        let rounds = self.options.round_count().saturating_sub(round.max(1));
+        later + rounds * Stage::ALL.iter().map(of).sum::<Duration>()
     }
 
     /// A plan named after a stage slows only that stage down; `saves` slows training down.

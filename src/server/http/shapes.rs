@@ -103,7 +103,8 @@ pub struct Job {
     /// Training speed while the job trains, steps per second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps_per_second: Option<f64>,
-    /// Estimated seconds left while the job runs.
+    /// Estimated seconds left while the job runs; absent where nothing is known, or it takes longer
+    /// than estimated.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eta_seconds: Option<f64>,
     /// Why the job failed.

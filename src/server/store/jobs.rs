@@ -153,7 +153,11 @@ const DETAILED: &str = "SELECT jobs.*,
         (SELECT CASE kind WHEN 'stage_started' THEN at END FROM events
          WHERE job_id = jobs.id AND kind IN ('stage_started', 'state')
          ORDER BY seq DESC LIMIT 1)
-    END AS stage_started_at
+    END AS stage_started_at,
+    CASE WHEN eta_seconds IS NOT NULL THEN
+        (SELECT at FROM events WHERE job_id = jobs.id AND kind = 'progress'
+         ORDER BY seq DESC LIMIT 1)
+    END AS estimated_at
     FROM jobs";
 
 impl Store {
@@ -220,7 +224,13 @@ impl Store {
         let mut warnings = warnings_of(&self.pool, self.engine, &ids).await?;
         let mut stages = stages_of(&self.pool, self.engine, &ids).await?;
         let mut scores = scores_of(&self.pool, self.engine, &ids).await?;
-        let detailed = jobs.into_iter().zip(rows).map(|(job, row)| {
+        let now = match jobs.iter().any(|job| job.eta_seconds.is_some()) {
+            true => self.now().await?,
+            false => 0,
+        };
+        let detailed = jobs.into_iter().zip(rows).map(|(mut job, row)| {
+            let estimated_at: Option<i64> = row.try_get("estimated_at")?;
+            job.eta_seconds = still_left(job.eta_seconds, estimated_at, now);
             let mut stages = stages.remove(&job.id).unwrap_or_default();
             stages.sort_by_key(|done: &StageSeconds| (done.round, place(&done.stage)));
             Ok(ToldJob {
@@ -378,6 +388,13 @@ pub(super) async fn read(tx: &mut Tx, id: &str) -> Result<Option<JobRow>> {
     let row = format!("SELECT * FROM jobs WHERE id = $1{}", tx.engine.locking());
     let row = sqlx::query(sqlx::AssertSqlSafe(row)).bind(id).fetch_optional(&mut **tx).await?;
     row.as_ref().map(from_row).transpose()
+}
+
+/// The time left, s, of an estimate made at a time, ms; `None` once it has passed: then the stage
+/// takes longer than estimated, and nothing tells how much.
+fn still_left(estimate: Option<f64>, at: Option<i64>, now: i64) -> Option<f64> {
+    let left = estimate? - (now - at?) as f64 / 1e3;
+    (left > 0.0).then_some(left)
 }
 
 /// The position of a stage in stage order.

@@ -198,6 +198,35 @@ async fn an_unknown_time_left_replaces_a_known_one() {
 }
 
 #[tokio::test]
+async fn a_time_left_runs_out_while_nothing_is_reported() {
+    let (_dir, store) = store().await;
+    create(&store, "j").await;
+    let claim = store.claim("one", 60_000, &[]).await.expect("claim");
+    let lease = claim.expect("job").lease;
+    let left = async || {
+        store
+            .told_job("j")
+            .await
+            .expect("read")
+            .expect("job")
+            .row
+            .eta_seconds
+    };
+    for (estimate, is_left) in [(60.0, true), (0.2, false)] {
+        let step = Progress {
+            progress: Some(0.1),
+            eta_seconds: Some(estimate),
+            ..Default::default()
+        };
+        store.advance(&lease, &step).await.expect("advance");
+        tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+        let left = left().await;
+        assert_eq!(left.is_some(), is_left, "{left:?}");
+        assert!(left.is_none_or(|left| left < estimate - 0.2), "{left:?}");
+    }
+}
+
+#[tokio::test]
 async fn deleting_a_job_deletes_its_rows_but_a_used_capture_stays() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
