@@ -80,6 +80,14 @@ pub enum Event {
         /// Its round.
         round: u32,
     },
+    /// The search for poses tries a strategy; those before it were not good enough, or the usual
+    /// ones are compared.
+    StrategyStarted {
+        /// Its letter, as in `poses.json`.
+        strategy: char,
+        /// What it does, for users.
+        name: String,
+    },
     /// Progress inside a stage.
     StageAdvanced {
         stage: Stage,

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-use fled_core::event::{Event, ProgressSink};
+use fled_core::event::{Event, ProgressSink, Stage};
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
 
 /// Writes every event to `log.txt`, and to the terminal or as JSON lines to standard output.
@@ -68,6 +68,9 @@ pub fn show_progress(bar: &ProgressBar, share: f64, seconds_left: Option<f64>) {
 fn advance(bar: &ProgressBar, event: &Event) {
     match event {
         Event::StageStarted { stage, round } => bar.set_message(name(stage.name(), *round)),
+        Event::StrategyStarted { name: strategy, .. } => {
+            bar.set_message(format!("{}: {strategy}", name(Stage::Poses.name(), 0)));
+        }
         Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
             let rate =
                 steps_per_second.map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
@@ -93,6 +96,7 @@ fn lines(event: &Event) -> Vec<String> {
             let how = if *skipped { "already done, took" } else { "done in" };
             format!("{} {how} {seconds:.1} s", name(stage.name(), *round))
         }
+        Event::StrategyStarted { strategy, name } => format!("poses: strategy {strategy}, {name}"),
         Event::Warning { code, message } => format!("warning ({code}): {message}"),
         Event::Log { message } => message.clone(),
         Event::Finished { best_round, seconds } => {

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Records ten small runs for the test of the time left (src/core/pipeline/plan/tests.rs).
+"""Records twelve small runs for the test of the time left (src/core/pipeline/plan/tests.rs).
 
-`python tests/golden/time_left.py target/release/fled` writes time_left/N.jsonl: a line of the options, the views and
+`python tests/golden/time_left.py target/release/fled [N...]` writes time_left/N.jsonl: a line of the options, the views and
 the pixels, then seconds and events, of those that a plan reads. Seconds are half of those that the run and its COLMAP
 compute: on two cores that are not shared they would be about those of the clock, and other work beside hardly changes
 them. Needs COLMAP and ONNX Runtime, as every run does, and Linux.
@@ -27,8 +27,11 @@ JOBS = [
     (14, "200x150", 9, {"steps": 200, "cap": 2000, "train_on": "deblurred", "shake": "off"}),
     (12, "240x136", 9, {"steps": 120, "cap": 3000, "shake": "kernel", "deblur": "identity"}),
     (18, "280x158", 9, {"steps": 200, "cap": 8000}),
+    # Shaken so much that the search for poses needs four strategies.
+    (8, "160x120", 30, {"steps": 120, "cap": 3000, "pose_source": "colmap", "deblur": "identity"}),
+    (10, "240x136", 9, {"steps": 120, "cap": 3000, "pose_source": "colmap"}),
 ]
-READ = {"planned", "stage_started", "stage_advanced", "stage_finished", "round_finished", "finished"}
+READ = {"planned", "stage_started", "strategy_started", "stage_advanced", "stage_finished", "round_finished", "finished"}
 # Least change of a stage's share that is kept.
 STEP = 0.1
 
@@ -106,7 +109,8 @@ def record(fled: str, folder: Path, job: tuple, file: Path) -> None:
 
 def main() -> None:
     OUT.mkdir(exist_ok=True)
-    for number, job in enumerate(JOBS):
+    for number in map(int, sys.argv[2:]) if len(sys.argv) > 2 else range(len(JOBS)):
+        job = JOBS[number]
         with tempfile.TemporaryDirectory() as folder:
             record(sys.argv[1], Path(folder), job, OUT / f"{number}.jsonl")
 

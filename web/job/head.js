@@ -15,7 +15,7 @@ const SECOND_MS = 1000;
 const LEAST_PAIRS = 10;
 
 /**
- * `{ root, update(job), advance(event), sum(result), leave }`; `refresh` asks the server again
+ * `{ root, update(job), advance(event), begin(), attempt(event), sum(result), leave }`; `refresh` asks the server again
  * after an action. A visitor by a link to the job has no actions.
  */
 export function jobHead(base, refresh, who) {
@@ -106,9 +106,11 @@ export function jobHead(base, refresh, who) {
     if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "View workers"));
   }
 
-  let matched = null;
+  /** @type {import("../lib/state.js").Search} */
+  let search = { matched: null, strategies: [] };
+  let heard = Date.now();
   function showLine() {
-    if (job) line.textContent = progressLine(job, matched);
+    if (job) line.textContent = progressLine(job, search, (Date.now() - heard) / 1000);
   }
   const timer = setInterval(showLine, SECOND_MS);
 
@@ -117,6 +119,7 @@ export function jobHead(base, refresh, who) {
     update(now) {
       const first = job === null;
       job = now;
+      heard = Date.now();
       title.textContent = job.name || "unnamed";
       tags.replaceChildren(...tagList(job));
       document.title = `${job.name || "Job"} · fled`;
@@ -149,7 +152,14 @@ export function jobHead(base, refresh, who) {
     },
     /** Takes a progress event of the current stage. */
     advance({ stage, done, total }) {
-      matched = stage === "poses" && total >= LEAST_PAIRS ? { done, total } : null;
+      search.matched = stage === "poses" && total >= LEAST_PAIRS ? { done, total } : null;
+      showLine();
+    },
+    /** Takes the start of a stage. */
+    begin() { search = { matched: null, strategies: [] }; },
+    /** Takes the start of a strategy of structure from motion. */
+    attempt({ name }) {
+      search = { matched: null, strategies: [...search.strategies, name] };
       showLine();
     },
     sum(node) { result.replaceChildren(node); },

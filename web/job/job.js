@@ -22,7 +22,7 @@ import { hasWebGl } from "../lib/webgl.js";
 import { videos } from "./videos.js";
 import { comparison } from "./views.js";
 
-const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
+const EVENTS = ["state", "planned", "stage_started", "strategy_started", "stage_finished", "progress", "round_finished", "warning"];
 /** The queue position depends on other jobs, which the job's own events do not report. */
 const QUEUE_MS = 3000;
 
@@ -164,6 +164,8 @@ export function jobPage(main, who, id) {
       });
     }
     stream.addEventListener("progress", (event) => head.advance(JSON.parse(event.data)));
+    stream.addEventListener("stage_started", () => head.begin());
+    stream.addEventListener("strategy_started", (event) => head.attempt(JSON.parse(event.data)));
     for (const kind of SEEN) {
       stream.addEventListener(kind, (event) => training.see(kind, JSON.parse(event.data)));
     }

@@ -39,20 +39,34 @@ function place({ queue_position: position }) {
   return position === 1 ? "next in the queue" : `position ${position} in the queue`;
 }
 
+/** Seconds that the search for poses usually takes at most. */
+const USUAL_S = 120;
+
+const ORDINALS = ["first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth"];
+
 /**
- * The line beside a job's state; changes every second while it runs. `matched` is the progress of
- * structure from motion so far.
- * @param {Job} job
- * @param {{ done: number, total: number } | null} matched
+ * The search for poses: pairs matched by the current strategy, and the names of those tried so far.
+ * @typedef {{ matched: { done: number, total: number } | null, strategies: string[] }} Search
  */
-export function progressLine(job, matched = null) {
+
+/**
+ * The line beside a job's state; changes every second while it runs. `age` is the time since the
+ * server reported the job, s.
+ * @param {Job} job
+ * @param {Search} search
+ */
+export function progressLine(job, search, age) {
   const runs = job.state === "running";
+  const { matched } = search;
+  const searches = runs && job.stage === "poses";
+  const left = runs && job.eta_seconds ? job.eta_seconds - age : 0;
   return [
     doing(job),
     runs && job.steps_per_second ? `${job.steps_per_second.toFixed(1)} steps/s` : "",
-    runs && job.eta_seconds ? `${duration(job.eta_seconds)} left` : "",
-    runs && job.stage === "poses" && matched ? `${matched.done} of ${matched.total} photographs and pairs matched` : "",
-    runs ? elapsed(job) : "",
+    left > 0 ? `${duration(left)} left` : "",
+    searches ? strategy(search) : "",
+    searches && matched ? `${matched.done} of ${matched.total} photographs and pairs matched` : "",
+    runs ? elapsed(job, search, left > 0) : "",
     attempt(job),
   ].filter(Boolean).join(" · ");
 }
@@ -69,15 +83,27 @@ function attempt({ attempts, state, started_at: first }) {
 }
 
 /**
- * The time passed and the usual time, as structure from motion cannot report its share done.
- * @param {Job} job
+ * The strategy that follows others.
+ * @param {Search} search
  */
-function elapsed(job) {
+function strategy({ strategies }) {
+  const ordinal = ORDINALS[strategies.length - 1] ?? `${strategies.length}th`;
+  return strategies.length > 1 ? `${ordinal} try: ${strategies.at(-1)}` : "";
+}
+
+/**
+ * The time passed and, where the time left is unknown, how it compares with others.
+ * @param {Job} job
+ * @param {Search} search
+ */
+function elapsed(job, { strategies }, isKnown) {
   if (!job.stage_started_at) return "";
-  const time = stopwatch((serverNow() - Date.parse(job.stage_started_at)) / 1000);
+  const seconds = (serverNow() - Date.parse(job.stage_started_at)) / 1000;
+  const time = stopwatch(seconds);
   if (job.stage !== "poses") return `${time} in this stage`;
-  const given = job.options.pose_source === "given";
-  return given ? `${time} so far` : `${time} so far; usually one to two minutes`;
+  if (isKnown || job.options.pose_source === "given") return `${time} so far`;
+  const isLong = seconds > USUAL_S || strategies.length > 2;
+  return `${time} so far; ${isLong ? "longer than usual" : "usually one to two minutes"}`;
 }
 
 /**

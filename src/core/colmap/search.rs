@@ -9,7 +9,9 @@ use super::files::{largest_model, remove_if_there};
 use super::groups;
 use super::options::{self, Prober, Setting, masks, set};
 use super::process::Runner;
-use super::strategies::{Acceptance, Mapping, STRATEGIES, Strategy, advance};
+use super::strategies::{
+    Acceptance, FIRST_LEARNED, LEARNED, Mapping, STRATEGIES, Strategy, advance, begin,
+};
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
@@ -79,6 +81,7 @@ impl<'a> Search<'a> {
         let mut best: Option<Candidate> = None;
         let mut broken = None;
         if let Some(matching) = self.matching {
+            begin(sink, FIRST_LEARNED, LEARNED);
             match self.best_learned(matching, evidence, sink, cancel) {
                 Ok(candidate) => best = candidate,
                 Err(error) if error.is_about_the_tool() => {
@@ -104,6 +107,7 @@ impl<'a> Search<'a> {
             if accepted.is_some_and(is_enough) {
                 break;
             }
+            begin(sink, strategy.letter, strategy.name);
             let candidate = match self.attempt(strategy, evidence, sink, cancel) {
                 Ok(candidate) => candidate,
                 Err(error) if error.is_about_the_tool() => {

@@ -26,10 +26,15 @@ impl Default for Acceptance {
 /// The strategies with learned matches have this letter and those after it.
 pub(super) const FIRST_LEARNED: char = 'L';
 
+/// What the strategies with learned matches do, for users.
+pub(super) const LEARNED: &str = "features found and matched by networks";
+
 /// Settings of one strategy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Strategy {
     pub(super) letter: char,
+    /// What it does, for users.
+    pub(super) name: &'static str,
     /// The strategy whose features and matches are mapped.
     pub(super) database: char,
     /// The copies from which features are extracted.
@@ -46,6 +51,7 @@ pub(super) struct Strategy {
 pub(super) const STRATEGIES: [Strategy; 6] = [
     Strategy {
         letter: 'A',
+        name: "COLMAP's features on small copies",
         database: 'A',
         copies: Kind::Small,
         robust_features: false,
@@ -54,6 +60,7 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
     Strategy {
         letter: 'B',
+        name: "COLMAP's features on small copies, with lower thresholds",
         database: 'A',
         copies: Kind::Small,
         robust_features: false,
@@ -62,6 +69,7 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
     Strategy {
         letter: 'C',
+        name: "COLMAP's features on full-size copies",
         database: 'C',
         copies: Kind::Full,
         robust_features: false,
@@ -70,6 +78,7 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
     Strategy {
         letter: 'D',
+        name: "more of COLMAP's features on small copies",
         database: 'D',
         copies: Kind::Small,
         robust_features: true,
@@ -78,6 +87,7 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
     Strategy {
         letter: 'E',
+        name: "COLMAP's features on small copies, with another seed",
         database: 'E',
         copies: Kind::Small,
         robust_features: false,
@@ -86,6 +96,7 @@ pub(super) const STRATEGIES: [Strategy; 6] = [
     },
     Strategy {
         letter: 'G',
+        name: "COLMAP's features on copies as dark as the photographs",
         database: 'G',
         copies: Kind::Plain,
         robust_features: false,
@@ -101,6 +112,11 @@ pub(super) struct Mapping {
     pub letter: char,
     /// With lower minimums for placing a photograph.
     pub loose: bool,
+}
+
+/// Reports that a strategy begins.
+pub(super) fn begin(sink: &mut dyn ProgressSink, strategy: char, name: &str) {
+    sink.event(&Event::StrategyStarted { strategy, name: name.to_owned() });
 }
 
 /// Progress in thirds of a strategy; the total grows with each strategy tried.

@@ -39,7 +39,7 @@ pub struct SearchOptions {
 
 impl SearchOptions {
     /// Most key points of each photograph for this number of pairs; at least half of the maximum.
-    pub(super) fn key_points_of(&self, pairs: usize) -> usize {
+    pub fn key_points_of(&self, pairs: usize) -> usize {
         let share = (self.pairs as f64 / pairs.max(self.pairs) as f64).sqrt().max(0.5);
         (self.key_points as f64 * share) as usize
     }

@@ -3,6 +3,7 @@
 
 mod history;
 mod reporter;
+mod search;
 mod work;
 
 use std::collections::BTreeMap;
@@ -14,6 +15,7 @@ use crate::metrics::{RoundMetrics, ViewScore};
 use history::Cost;
 pub use history::History;
 pub use reporter::ProgressReporter;
+use search::Trial;
 use work::{Job, Part, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
@@ -35,7 +37,7 @@ pub struct By {
 impl By {
     fn of(&self, part: Part) -> &str {
         match part {
-            Part::Poses => &self.poses,
+            Part::Poses | Part::Pairs | Part::Mapping | Part::Features => &self.poses,
             Part::Deblur => &self.network,
             _ => &self.adapter,
         }
@@ -52,6 +54,12 @@ pub struct Plan {
     measured: BTreeMap<(u32, Part), (f64, f64)>,
     done: Vec<(u32, Stage)>,
     running: Option<Running>,
+    /// The strategy that the search for poses tries.
+    trial: Option<Trial>,
+    /// The number of strategies tried, with that one.
+    trials: u32,
+    /// Times as long as usual on this machine, as the pairs of this run have shown.
+    slowness: f64,
     progress: f64,
     eta: Option<f64>,
 }
@@ -115,6 +123,9 @@ impl Plan {
             measured: BTreeMap::new(),
             done: Vec::new(),
             running: None,
+            trial: None,
+            trials: 0,
+            slowness: 1.0,
             progress: 0.0,
             eta: None,
         }
@@ -128,7 +139,7 @@ impl Plan {
             }
             Event::StageStarted { stage, round } => {
                 self.close(at);
-                self.eta = None;
+                (self.eta, self.trials) = (None, 0);
                 self.running = Some(Running {
                     stage: *stage,
                     round: *round,
@@ -137,6 +148,13 @@ impl Plan {
                     last: (0.0, at),
                     counts: true,
                 });
+            }
+            Event::StrategyStarted { strategy, .. } => {
+                self.end_trial(at);
+                self.eta = None;
+                self.job.search();
+                self.trials += 1;
+                self.trial = Some(Trial::new(self.trials, *strategy, at));
             }
             Event::StageAdvanced { stage, done, total, steps_per_second, .. } => {
                 let advanced = Advanced {
@@ -168,6 +186,11 @@ impl Plan {
         let Some(mut running) = self.running.filter(|running| running.stage == event.stage) else {
             return;
         };
+        if self.trial.is_some() {
+            // Its pairs and thirds are no share of the search.
+            self.count(at, event);
+            return;
+        }
         let share = match event.stage {
             // Steps on small images are cheaper, and there is work between them.
             Stage::Reconstruct => {
@@ -176,9 +199,6 @@ impl Plan {
             }
             _ => event.done as f64 / event.total.max(1) as f64,
         };
-        if event.stage == Stage::Poses {
-            self.job.count_pairs(event.total);
-        }
         // More steps than its time allows: an earlier process made some of them.
         if event.per_second.is_some_and(|rate| event.done as f64 / rate > at - running.began) {
             running.counts = false;
@@ -191,14 +211,47 @@ impl Plan {
         self.running = Some(running);
     }
 
+    /// Notes how many pairs the search for poses has matched.
+    fn count(&mut self, at: f64, event: &Advanced) {
+        let Some(trial) = &mut self.trial else {
+            return;
+        };
+        trial.count(at, event.done, event.total, self.job.photographs());
+        let pace = trial.pace();
+        if let Some(total) = trial.total() {
+            self.job.count_pairs(total);
+        }
+        let usual = self.history.pace(Part::Pairs, self.by.of(Part::Pairs));
+        if let (Some(pace), Some(usual)) = (pace, usual) {
+            self.slowness = search::slowness(pace, usual * self.job.pair());
+        }
+    }
+
+    /// The strategy that was tried is over: its parts cost what it took.
+    fn end_trial(&mut self, at: f64) {
+        let Some(trial) = self.trial.take() else {
+            return;
+        };
+        let work = self.job.of(Stage::Poses, 0);
+        let of = |part| work.iter().find(|(other, _)| *other == part).map(|(_, work)| *work);
+        let own = trial.part.and_then(|part| Some((part, (of(part)?, trial.seconds(at)))));
+        let pairs = trial
+            .pairs()
+            .map(|(pairs, seconds)| (Part::Pairs, (pairs as f64 * self.job.pair(), seconds)));
+        self.measured
+            .extend({ own.into_iter().chain(pairs) }.map(|(part, cost)| ((0, part), cost)));
+    }
+
     /// The stage that ran is over. Its time includes that up to the next stage.
     fn close(&mut self, at: f64) {
+        let has_searched = self.trial.is_some();
+        self.end_trial(at);
         let Some(running) = self.running.take() else {
             return;
         };
         let work = self.job.of(running.stage, running.round);
         let expected = self.seconds(&work);
-        if running.counts && expected > 0.0 {
+        if running.counts && expected > 0.0 && !has_searched {
             let drift = (at - running.began) / expected;
             let cost = |(part, work)| (part, (work, drift * work * self.pace(part)));
             let costs: Vec<_> = work.into_iter().map(cost).collect();
@@ -256,8 +309,19 @@ impl Plan {
         let expected = self.seconds(&work);
         let mut parts = work.iter().filter(|(_, work)| *work > 0.0);
         let is_known = parts.all(|(part, _)| self.known_pace(*part).is_some());
-        let total = running.total(expected, is_known);
-        let done = total * running.last.0;
+        let trial = self.trial.as_ref().filter(|_| running.seeks_poses());
+        let left = if running.seeks_poses() { self.left_of_search(at) } else { None };
+        let (total, done) = match trial {
+            Some(_) => {
+                let done = at - running.began;
+                let rest = left.unwrap_or_else(|| search::vague_rest(done, expected));
+                (done + rest, done)
+            }
+            None => {
+                let total = running.total(expected, is_known);
+                (total, total * running.last.0)
+            }
+        };
         let (mut before, mut after) = (0.0, 0.0);
         for (round, stage) in self.job.stages() {
             let seconds = self.seconds(&self.job.of(stage, round));
@@ -272,13 +336,7 @@ impl Plan {
         if progress.is_finite() {
             self.progress = self.progress.max(progress.min(1.0));
         }
-        let left = if running.seeks_poses() {
-            // Only earlier runs tell how long COLMAP takes once the pairs are matched.
-            let left = expected - (at - running.began);
-            (is_known && self.job.knows_pairs() && left > 0.0).then_some(left)
-        } else {
-            Some(total - done)
-        };
+        let left = if running.seeks_poses() { left } else { Some(total - done) };
         let eta = left.map(|left| left + after);
         self.eta = match (self.eta, eta) {
             (Some(reported), Some(eta)) if eta > reported && eta < MIN_RISE * reported => {
@@ -288,13 +346,25 @@ impl Plan {
         };
     }
 
+    /// Seconds left of the search for poses: pairs by their pace in this run, the rest by earlier
+    /// runs.
+    fn left_of_search(&self, at: f64) -> Option<f64> {
+        let work = self.job.of(Stage::Poses, 0);
+        let usual = |part| {
+            let (_, work) = work.iter().find(|(other, _)| *other == part)?;
+            Some(work * self.known_pace(part)?)
+        };
+        self.trial.as_ref()?.left(at, usual)
+    }
+
     /// Seconds of a part for a unit of its work: of this run, or of this machine's last ones.
     fn known_pace(&self, part: Part) -> Option<f64> {
         let costs = self.measured.iter().filter(|((_, other), _)| *other == part);
         let (work, seconds) =
             costs.fold((0.0, 0.0), |sum, (_, (work, seconds))| (sum.0 + work, sum.1 + seconds));
         let here = (work > 0.0).then(|| seconds / work);
-        here.or_else(|| self.history.pace(part, self.by.of(part)))
+        let before = || Some(self.slowness * self.history.pace(part, self.by.of(part))?);
+        here.or_else(before)
     }
 
     /// That of two cores where nothing is known.

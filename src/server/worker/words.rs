@@ -28,6 +28,7 @@ pub(super) fn readable(event: &Event) -> String {
                 metrics.round, metrics.seconds, metrics.gaussians
             )
         }
+        Event::StrategyStarted { strategy, name } => format!("poses: strategy {strategy}, {name}"),
         Event::Warning { code, message } => format!("warning {code}: {message}"),
         other => format!("{other:?}"),
     }

@@ -16,6 +16,10 @@ use crate::pipeline::workspace::{CODE_VERSION, Workspace};
 const WRONG_BY: f64 = 0.3;
 const WRONG_BY_SECONDS: f64 = 1.0;
 
+/// The recorded run that searches for poses, and one that needs four strategies.
+const SEARCHED: usize = 11;
+const FOUR_STRATEGIES: usize = 10;
+
 /// The first line of a recording.
 #[derive(Deserialize)]
 struct Header {
@@ -186,7 +190,8 @@ fn with_poses(history: History) -> Plan {
 
 /// The history of a run whose parts all took `pace` times as long as on two cores.
 fn history_of(pace: f64) -> History {
-    let parts = [Part::Poses, Part::Steps, Part::Kernels, Part::Cameras];
+    let parts =
+        [Part::Pairs, Part::Mapping, Part::Features, Part::Steps, Part::Kernels, Part::Cameras];
     let cost = |part| Cost { part, by: String::new(), work: 10.0, seconds: 10.0 * pace };
     let mut history = History::default();
     history.add(parts.map(cost).into());
@@ -230,26 +235,160 @@ fn poses(done: u64, total: u64) -> Event {
     Event::advanced(Stage::Poses, done, total)
 }
 
+fn tries(strategy: char) -> Event {
+    Event::StrategyStarted { strategy, name: String::new() }
+}
+
+/// The time left after the events of a search for poses.
+fn reported(history: History, events: &[(f64, Event)]) -> Option<f64> {
+    let mut plan = fresh(history);
+    plan.take(0.0, &Event::StageStarted { stage: Stage::Poses, round: 0 });
+    plan.take(0.0, &tries('L'));
+    for (at, event) in events {
+        plan.take(*at, event);
+    }
+    plan.eta
+}
+
+/// Photographs within a second, and pairs from there on, each of some seconds.
+fn matched(pairs: u64, seconds: f64) -> Vec<(f64, Event)> {
+    let counted = (0..=pairs).map(|pair| (1.0 + seconds * pair as f64, poses(12 + pair, 12 + 66)));
+    [(0.5, poses(6, 78))].into_iter().chain(counted).collect()
+}
+
 #[test]
-fn the_search_for_poses_tells_a_time_once_it_counts_pairs() {
-    let begins = Event::StageStarted { stage: Stage::Poses, round: 0 };
-    let reported = |history, events: &[(f64, Event)]| {
-        let mut plan = fresh(history);
-        plan.take(0.0, &begins);
-        events.iter().for_each(|(at, event)| {
-            plan.take(*at, event);
-        });
-        plan.eta
-    };
-    let counted = [(1.0, poses(1, 78))];
+fn the_search_for_poses_tells_a_time_once_a_run_has_shown_how_long_it_takes() {
+    let counted = matched(20, 0.4);
     assert_eq!(reported(History::default(), &counted), None, "no run has shown how long");
     let left = reported(history_of(1.0), &counted).expect("known");
-    let twice = reported(history_of(2.0), &counted).expect("known");
-    assert!(twice > 1.5 * left, "{twice} {left}");
-    let thirds = [(1.0, poses(1, 3))];
-    assert_eq!(reported(history_of(1.0), &thirds), None, "thirds of a strategy");
-    let late = [(1.0, poses(1, 78)), (1000.0, poses(78, 78 + 1))];
-    assert_eq!(reported(history_of(1.0), &late), None, "it takes longer than ever");
+    let twice = reported(history_of(2.0), &matched(20, 0.8)).expect("known");
+    assert!((1.9..2.1).contains(&(twice / left)), "{twice} {left}");
+}
+
+#[test]
+fn from_the_tenth_pair_on_the_pace_of_this_run_decides() {
+    let usual = reported(history_of(1.0), &matched(10, 0.4)).expect("known");
+    let early = reported(history_of(1.0), &matched(9, 1.2)).expect("known");
+    assert!(early < 1.1 * usual, "{early} {usual}: nine pairs say little");
+    let slow = reported(history_of(1.0), &matched(10, 1.2)).expect("known");
+    assert!((2.5..3.1).contains(&(slow / usual)), "{slow} {usual}");
+    // Content that takes a little longer does not slow the machine down.
+    let scatter = reported(history_of(1.0), &matched(10, 0.5)).expect("known");
+    assert!((0.9..1.2).contains(&(scatter / usual)), "{scatter} {usual}");
+    // The pairs of an interrupted search come at once, and say nothing of the pace.
+    let mut resumed = vec![(0.5, poses(6, 78)), (1.0, poses(12 + 40, 78))];
+    resumed.extend((1..=10).map(|pair| (1.0 + 1.2 * pair as f64, poses(12 + 40 + pair, 78))));
+    let resumed = reported(history_of(1.0), &resumed).expect("known");
+    let kept = 40.0 * 1.2;
+    assert!((resumed + kept - slow).abs() < 0.1 * slow, "{resumed} {slow}");
+}
+
+#[test]
+fn a_time_left_is_unknown_rather_than_wrong() {
+    let mut events = matched(66, 0.4);
+    let end = 1.0 + 66.0 * 0.4;
+    let at = |events: &[(f64, Event)]| reported(history_of(1.0), events);
+    let models = at(&events).expect("models take as long as usual");
+    events.push((end + 2.0, tries('A')));
+    assert!(at(&events).is_some_and(|left| left < models), "COLMAP's own always have a try");
+    let mut late = events.clone();
+    late.push((end + 1000.0, poses(1, 3)));
+    assert_eq!(at(&late), None, "it takes longer than ever");
+    for strategy in ['B', 'G', 'F', 'L', 'A'] {
+        events.push((end + 10.0, tries(strategy)));
+        assert_eq!(at(&events), None, "{strategy} is a fallback");
+    }
+    events.push((end + 20.0, Event::StageStarted { stage: Stage::Deblur, round: 0 }));
+    assert!(at(&events).is_some());
+}
+
+/// A recorded run on a machine that is this many times as slow.
+fn slowed(recording: &Recording, by: f64) -> Vec<(f64, Event)> {
+    let slowed = |(at, event): &(f64, Event)| {
+        let mut event = event.clone();
+        if let Event::RoundFinished { metrics } = &mut event {
+            metrics.steps_per_second /= by;
+            if let Some(between) = &mut metrics.between {
+                between.kernels *= by;
+                between.cameras *= by;
+            }
+        }
+        (by * at, event)
+    };
+    recording.events.iter().map(slowed).collect()
+}
+
+/// The moments from the tenth pair on at which the time left is off by more than half, or not
+/// told: in the search for poses it may be unknown.
+fn off_by_half(moments: &[Moment], end: f64) -> Vec<String> {
+    let wrong = |moment: &&Moment| {
+        let truth = end - moment.at;
+        match moment.eta {
+            Some(eta) => (eta - truth).abs() > (0.5 * truth).max(WRONG_BY_SECONDS),
+            None => (moment.stage, moment.round) != (Stage::Poses, 0),
+        }
+    };
+    let wrong = moments.iter().filter(wrong);
+    wrong
+        .map(|m| format!("{:.1} s, {:?}: {:?} not {:.1}", m.at, m.stage, m.eta, end - m.at))
+        .collect()
+}
+
+/// The moments of a replayed recording from its tenth pair on, and its end.
+fn from_tenth_pair(events: &[(f64, Event)], plan: &mut Plan) -> (Vec<Moment>, f64) {
+    let photographs = plan.job.photographs();
+    let is_tenth = |(_, event): &&(f64, Event)| match event {
+        Event::StageAdvanced { stage: Stage::Poses, done, .. } => *done >= photographs + 10,
+        _ => false,
+    };
+    let from = events.iter().find(is_tenth).expect("a pair").0;
+    let mut moments = replay(events, plan);
+    moments.retain(|moment| moment.at >= from);
+    (moments, events.last().expect("an end").0)
+}
+
+#[test]
+fn a_run_at_a_third_of_the_usual_pace_tells_it_from_the_tenth_pair_on() {
+    let recording = Recording::read(SEARCHED);
+    let mut usual = recording.plan(History::default());
+    replay(&recording.events, &mut usual);
+    let events = slowed(&recording, 3.0);
+    let mut plan = recording.plan(usual.history().clone());
+    let (moments, end) = from_tenth_pair(&events, &mut plan);
+    let faults = off_by_half(&moments, end);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    let searching = moments.iter().take_while(|moment| moment.stage == Stage::Poses);
+    assert!(searching.filter(|moment| moment.eta.is_some()).count() >= 3);
+    // A run that has three times as much left as it tells is found.
+    let mut plan = recording.plan(usual.history().clone());
+    let (moments, end) = from_tenth_pair(&recording.events, &mut plan);
+    assert!(off_by_half(&moments, end).is_empty());
+    assert!(!off_by_half(&moments, 3.0 * end).is_empty());
+}
+
+#[test]
+fn a_run_that_needs_four_strategies_leaves_its_time_open_from_the_first_fallback_on() {
+    let recording = Recording::read(SEARCHED);
+    let mut usual = recording.plan(History::default());
+    replay(&recording.events, &mut usual);
+    let recording = Recording::read(FOUR_STRATEGIES);
+    let is_try = |(_, event): &&(f64, Event)| matches!(event, Event::StrategyStarted { .. });
+    let tries: Vec<f64> = recording.events.iter().filter(is_try).map(|(at, _)| *at).collect();
+    assert!(tries.len() >= 4, "{tries:?}");
+    let mut plan = recording.plan(usual.history().clone());
+    let (moments, end) = from_tenth_pair(&recording.events, &mut plan);
+    let (usual, fallbacks): (Vec<_>, Vec<_>) =
+        moments.into_iter().partition(|moment| moment.at <= tries[2]);
+    let searching =
+        |moment: &&Moment| (moment.stage, moment.round) == (Stage::Poses, 0) && !moment.is_over;
+    let searching: Vec<_> = fallbacks.iter().filter(searching).collect();
+    assert!(searching.len() > 2);
+    assert!(searching.iter().all(|moment| moment.eta.is_none()), "it cannot be known");
+    let faults = off_by_half(&fallbacks, end);
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    // Before them it is the time of a run that needs none.
+    let too_long = |moment: &Moment| moment.eta.is_some_and(|eta| eta > 1.5 * (end - moment.at));
+    assert!(!usual.iter().any(too_long));
 }
 
 #[test]

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::event::Stage;
+use crate::features::SearchOptions;
 use crate::metrics::CaptureShake;
 use crate::pipeline::config::{NoiseMode, Options, Pace, Start};
 use crate::pipeline::effective::in_effect;
@@ -14,8 +15,14 @@ use crate::reconstruct::{CORRECTIONS, Schedule};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Part {
-    /// Structure from motion.
+    /// Structure from motion without a search.
     Poses,
+    /// Matching pairs of photographs by networks.
+    Pairs,
+    /// Models from those pairs.
+    Mapping,
+    /// Structure from motion with COLMAP's own features.
+    Features,
     Enhance,
     /// The network, and the look at the shake that it removed.
     Deblur,
@@ -38,8 +45,13 @@ impl Part {
 /// Seconds that something takes on two cores: alone, for a megapixel and for 1,000 Gaussians.
 struct Price(f64, f64, f64);
 
-/// A pair of photographs: its share of the search for poses.
+/// A pair of photographs: its share of poses without a search.
 const PAIR: Price = Price(0.0, 1.5, 0.0);
+/// In the search for poses: a pair with the most key points, a photograph in models, and a pair by
+/// COLMAP's own features. The copies of photographs have one size.
+const MATCHED_PAIR: f64 = 0.4;
+const MAPPED_VIEW: f64 = 0.5;
+const FEATURED_PAIR: f64 = 0.1;
 /// The stages of a view.
 const ENHANCE: Price = Price(0.001, 0.03, 0.0);
 const DEBLUR: Price = Price(0.002, 0.4, 0.0);
@@ -82,6 +94,8 @@ pub struct Job {
     megapixels: f64,
     /// Photographs and pairs of them that structure from motion counts, once known.
     pairs: Option<u64>,
+    /// Whether poses are searched for.
+    searches: bool,
     /// Views with a kernel in the next round, once known.
     kernels: Option<f64>,
 }
@@ -96,6 +110,7 @@ impl Job {
             views: views as f64,
             megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
             pairs: None,
+            searches: false,
             kernels: None,
         }
     }
@@ -116,17 +131,33 @@ impl Job {
         }
     }
 
-    /// Notes how many photographs and pairs structure from motion counts. COLMAP's own strategies
-    /// count thirds of a strategy instead, at first no more than there are photographs.
-    pub fn count_pairs(&mut self, total: u64) {
-        if total as f64 > self.views {
-            self.pairs.get_or_insert(total);
-        }
+    /// Notes that poses are searched for.
+    pub fn search(&mut self) {
+        self.searches = true;
     }
 
-    /// Whether structure from motion has reported its number of pairs.
-    pub fn knows_pairs(&self) -> bool {
-        self.pairs.is_some()
+    /// Notes how many photographs and pairs structure from motion counts.
+    pub fn count_pairs(&mut self, total: u64) {
+        self.pairs = Some(total);
+    }
+
+    /// Number of photographs.
+    pub fn photographs(&self) -> u64 {
+        self.views as u64
+    }
+
+    /// The work of matching one pair, which grows with the square of its key points.
+    pub fn pair(&self) -> f64 {
+        let options = SearchOptions::default();
+        let pairs = self.all_pairs() - self.views;
+        let share = options.key_points_of(pairs as usize) as f64 / options.key_points as f64;
+        MATCHED_PAIR * share * share
+    }
+
+    /// Photographs and pairs.
+    fn all_pairs(&self) -> f64 {
+        let all = self.views * (self.views + 1.0) / 2.0;
+        self.pairs.map_or(all, |pairs| pairs as f64)
     }
 
     /// Notes how many views have a kernel in the next round.
@@ -163,10 +194,13 @@ impl Job {
         let views = |part, price| vec![(part, self.views * self.seconds(price, 1.0, 1.0))];
         match stage {
             Stage::Poses if round > 0 => Work::new(),
+            Stage::Poses if self.searches => vec![
+                (Part::Pairs, (self.all_pairs() - self.views) * self.pair()),
+                (Part::Mapping, self.views * MAPPED_VIEW),
+                (Part::Features, self.all_pairs() * FEATURED_PAIR),
+            ],
             Stage::Poses => {
-                let all = self.views * (self.views + 1.0) / 2.0;
-                let pairs = self.pairs.map_or(all, |pairs| pairs as f64);
-                vec![(Part::Poses, pairs * self.seconds(&PAIR, 1.0, 1.0))]
+                vec![(Part::Poses, self.all_pairs() * self.seconds(&PAIR, 1.0, 1.0))]
             }
             Stage::Enhance => views(Part::Enhance, &ENHANCE),
             Stage::Deblur => views(Part::Deblur, &DEBLUR),

@@ -6,6 +6,7 @@ use super::request::ask;
 use crate::camera::Camera;
 use crate::capture::PreparedImage;
 use crate::deblur::Restorer;
+use crate::event::Event;
 use crate::image::{Image, ImageError};
 use crate::pipeline::config::Options;
 use crate::pipeline::context::Context;
@@ -35,6 +36,8 @@ pub fn poses(
 ) -> Result<Result<Poses, PosesError>, PipelineError> {
     let folder = context.workspace.folder().work().poses_of_deblurred();
     context.workspace.make_folder(&folder)?;
+    let name = "deblurring all photographs".to_owned();
+    context.sink.event(&Event::StrategyStarted { strategy: STRATEGY, name });
     let bright = brightened(views, depends_on.second.options())?;
     let mut copies = Vec::with_capacity(views.len());
     for (index, (view, image)) in views.iter().zip(&bright).enumerate() {
@@ -43,7 +46,10 @@ pub fn poses(
         copies.push(copy(context, tools.deblurrer, view, image, file)?);
     }
     let seed = depends_on.first.options().seed;
-    let found = match ask(context, tools, &copies, &folder.join("colmap"), seed) {
+    let outer = &mut *context.sink;
+    let mut sink = |event: &Event| outer.event(&named(event));
+    let mut again = Context::new(context.workspace, &mut sink, context.cancel);
+    let found = match ask(&mut again, tools, &copies, &folder.join("colmap"), seed) {
         Ok(found) => found,
         Err(error) => return Ok(Err(error)),
     };
@@ -53,6 +59,17 @@ pub fn poses(
         .map(|posed| at_original_size(posed, views))
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Ok(Poses { views: placed, strategy: Some(STRATEGY), ..found }))
+}
+
+/// The event with a strategy's name that tells it from the same one on the photographs.
+fn named(event: &Event) -> Event {
+    match event {
+        Event::StrategyStarted { strategy, name } => Event::StrategyStarted {
+            strategy: *strategy,
+            name: format!("{name}, after deblurring"),
+        },
+        event => event.clone(),
+    }
 }
 
 fn brightened(views: &[PoseView], options: &Options) -> Result<Vec<Image>, PipelineError> {
