@@ -221,7 +221,9 @@ impl Content {
         let whole = ply::read(path)?;
         let middle = Middle::of(&whole);
         let left = trim.of(whole);
-        if let (true, Some(middle)) = (left.gaussians.is_empty(), middle) {
+        let gaussians = &left.gaussians;
+        let is_empty = (0..gaussians.len()).all(|index| !gaussians.is_usable(index));
+        if let (true, Some(middle)) = (is_empty, middle) {
             return Err(ExportError::NothingLeft(middle));
         }
         let bytes = bytes_of(left.gaussians.len(), left.gaussians.sh_degree);

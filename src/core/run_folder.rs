@@ -16,6 +16,9 @@ use std::path::{Path, PathBuf};
 
 pub use viewpoint::{PictureSize, Viewpoint, ViewpointError, view_named};
 
+/// Name of the file with the matches of an interrupted search for poses.
+pub const KEPT_MATCHES: &str = "matches.kept";
+
 /// Name of the folder for resumed runs only.
 const WORK: &str = "work";
 
@@ -298,7 +301,7 @@ impl WorkFolder {
     }
 
     /// The files and folders deleted when a run succeeds: the large ones of these.
-    pub fn disposable(&self) -> [PathBuf; 6] {
+    pub fn disposable(&self) -> [PathBuf; 7] {
         [
             self.prepared(),
             // Where builds before CODE_VERSION 10 prepared and unpacked it.
@@ -306,6 +309,7 @@ impl WorkFolder {
             self.root.join(KeptImages::Deblurred.name()),
             self.root.join(KeptImages::Brightened.name()),
             self.late_views(),
+            self.poses().join(KEPT_MATCHES),
             self.checkpoint(),
         ]
     }

@@ -23,8 +23,8 @@ pub struct Args {
     /// Exports this round instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
-    /// Keeps only the Gaussians in here: box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS, from
-    /// the middle, in the world of the poses.
+    /// Keeps only the Gaussians whose centres lie in a shape around X, Y, Z, in the world of the
+    /// poses: box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS.
     #[arg(long, value_name = "SHAPE")]
     crop: Option<Crop>,
     /// Degree of the harmonics: cuts those of the scene or pads them with zeros.
@@ -53,6 +53,11 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             output.display()
         )));
     }
+    if args.output.is_none() && args.export == Export::Transforms && output.exists() {
+        return Err(Failure::usage(
+            "transforms.json exists here and may be the poses of a capture: name the file with -o",
+        ));
+    }
     let temporary = output.with_added_extension("tmp");
     let file = File::create(&temporary).map_err(io(&temporary))?;
     if let Err(error) = prepared.write(&file) {
@@ -75,6 +80,9 @@ fn is_of_run(path: &Path, run: &RunFolder) -> bool {
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
         let missing = error.is_missing();
+        if matches!(error, ExportError::NotTrimmed(_)) {
+            return Self::usage(error);
+        }
         let kind = match error {
             ExportError::Write(_) => ErrorKind::Io,
             _ => ErrorKind::BadInput,

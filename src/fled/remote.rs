@@ -71,6 +71,10 @@ enum Fault {
     Later(Option<Duration>, Failure),
     /// The service refused.
     Refused(Failure),
+    /// What the request is about does not exist, or no longer.
+    Gone(Failure),
+    /// The state of what the request is about does not allow it.
+    Conflict(Failure),
     /// A proxy before the service refused the size of the body.
     TooLarge(Failure),
 }
@@ -164,7 +168,7 @@ impl Remote {
             }
             match self.send(&self.patient, request, body.as_str()) {
                 Ok(answer) => read_json(answer),
-                Err(Fault::Refused(failure)) if is_lost => {
+                Err(Fault::Refused(failure) | Fault::Conflict(failure)) if is_lost => {
                     self.ask(&path).map_err(|_| Fault::Refused(failure))
                 }
                 Err(fault) => {
@@ -218,7 +222,12 @@ impl Remote {
         loop {
             let (pause, failure) = match attempt() {
                 Ok(done) => return Ok(done),
-                Err(Fault::Refused(failure) | Fault::TooLarge(failure)) => return Err(failure),
+                Err(
+                    Fault::Refused(failure)
+                    | Fault::Gone(failure)
+                    | Fault::Conflict(failure)
+                    | Fault::TooLarge(failure),
+                ) => return Err(failure),
                 Err(Fault::Later(pause, failure)) => (pause, failure),
                 Err(Fault::Lost(why, has_moved)) => {
                     if has_moved {
@@ -321,6 +330,10 @@ fn refusal(mut response: Response<Body>) -> Fault {
     } else if is_over {
         Fault::Later(seconds.map(Duration::from_secs), failure)
     } else {
-        Fault::Refused(failure)
+        match status {
+            StatusCode::NOT_FOUND | StatusCode::GONE => Fault::Gone(failure),
+            StatusCode::CONFLICT => Fault::Conflict(failure),
+            _ => Fault::Refused(failure),
+        }
     }
 }

@@ -15,12 +15,10 @@ use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;
 use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
+use crate::run_folder::KEPT_MATCHES;
 
 /// Length of a descriptor in COLMAP's text files. Unused: nothing is matched by descriptors.
 const DESCRIPTOR: usize = 128;
-
-/// The file of the matches so far, in the working folder.
-const KEPT: &str = "matches.kept";
 
 /// The selections of pairs for models, tried until one agrees with the strongest matches of all
 /// photographs. Fewer of the strongest pairs mislead less, but also connect less.
@@ -134,14 +132,14 @@ impl Search<'_> {
             sink.event(&Event::advanced(Stage::Poses, done, total));
         };
         let start = Instant::now();
-        let file = self.request.work_dir.join(KEPT);
+        let file = self.request.work_dir.join(KEPT_MATCHES);
         let keeping = Some(Keeping { file: &file, stamp: self.request.stamp });
         let mut found =
             matching.matches(&pictures, Pairs::Within, keeping, &mut advance, cancel)?;
         found.retain(|picture, point| !copies.hides(picture, point));
         if found.kept > 0 {
-            let kept = found.kept;
-            sink.log(format!("poses: an interrupted search had matched {kept} of the pairs"));
+            let (kept, pairs) = (found.kept, pictures.len() * (pictures.len() - 1) / 2);
+            sink.log(format!("poses: {kept} of {pairs} pairs were compared by an earlier search"));
         }
         let matches: usize = found.pairs.iter().map(|pair| pair.matches.len()).sum();
         sink.log(format!(

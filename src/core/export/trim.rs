@@ -96,7 +96,7 @@ impl FromStr for Crop {
             _ => return Err(form()),
         };
         match lengths.iter().find(|length| **length <= 0.0) {
-            Some(length) => Err(format!("a length of {length} must be above 0: {}", form())),
+            Some(length) => Err(format!("lengths must be positive, not {length}: {}", form())),
             None => Ok(crop),
         }
     }
@@ -161,8 +161,8 @@ mod tests {
             ("box:0,0,0,1,,1", "`` is not a number"),
             ("sphere:0,0,0,inf", "`inf` is not a number"),
             ("sphere:NaN,0,0,1", "`NaN` is not a number"),
-            ("sphere:0,0,0,-1", "a length of -1 must be above 0"),
-            ("box:0,0,0,1,0,1", "a length of 0 must be above 0"),
+            ("sphere:0,0,0,-1", "lengths must be positive, not -1"),
+            ("box:0,0,0,1,0,1", "lengths must be positive, not 0"),
         ] {
             let error = text.parse::<Crop>().expect_err(text);
             assert!(error.contains(fault), "{error}");

@@ -52,7 +52,7 @@ pub struct Correspondences {
     pub key_points: Vec<Vec<[f32; 2]>>,
     /// The pairs that have matches.
     pub pairs: Vec<PairMatches>,
-    /// Number of pairs that an interrupted search had compared.
+    /// Number of pairs that an earlier search had compared.
     pub kept: usize,
 }
 

@@ -15,7 +15,7 @@ use ureq::http::request::Builder;
 use ureq::http::{Request, Response, header};
 use ureq::{AsSendBody, Body, SendBody};
 
-use super::{Fault, MUCH, Remote};
+use super::{Fault, Remote};
 use crate::failure::{Failure, io as at};
 
 /// Largest piece in bytes.
@@ -68,10 +68,13 @@ impl Files {
             "{bar:30} {percent:>3}% sent, {bytes} of {total_bytes} at {binary_bytes_per_sec}",
         );
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-        let mut sender = Sender { remote, bar, most: MOST };
+        let mut sender = Sender { remote, bar, most: MOST, begun: Vec::new() };
         let ids = self.files.iter().map(|(name, path, bytes)| sender.file(name, path, *bytes));
-        let ids = ids.collect();
+        let ids: Result<Vec<String>, Failure> = ids.collect();
         sender.bar.finish_and_clear();
+        if ids.is_err() {
+            discard(remote, &sender.begun);
+        }
         ids
     }
 }
@@ -81,7 +84,8 @@ impl Files {
 pub fn discard(remote: &Remote, ids: &[String]) {
     for id in ids {
         let request = Request::delete(remote.url(&format!("{UPLOADS}/{id}")));
-        if remote.send(&remote.patient, request.header(RESUMABLE.0, RESUMABLE.1), ()).is_err() {
+        let answer = remote.send(&remote.patient, request.header(RESUMABLE.0, RESUMABLE.1), ());
+        if matches!(answer, Err(Fault::Lost(..) | Fault::Later(..))) {
             return;
         }
     }
@@ -93,6 +97,8 @@ struct Sender<'a> {
     bar: ProgressBar,
     /// Bytes of the largest piece that a proxy may accept.
     most: u64,
+    /// The uploads begun so far.
+    begun: Vec<String>,
 }
 
 impl Sender<'_> {
@@ -102,11 +108,21 @@ impl Sender<'_> {
         let before = self.bar.position();
         let (mut id, mut offset) = (remote.persist(|| self.begin(name, bytes))?, 0);
         while offset < bytes {
-            let mut is_sure = true;
+            let mut is_first = true;
             let reached = remote.persist(|| {
-                let from = if is_sure { Some(offset) } else { self.reached(&id)? };
-                is_sure = false;
-                from.map(|from| self.piece(path, &id, from, bytes)).transpose()
+                if !std::mem::take(&mut is_first) {
+                    match self.reached(&id)? {
+                        Some(from) if from == offset => self.most = LEAST.max(self.most / 2),
+                        // Part of the lost piece arrived: patience begins anew.
+                        reached => return Ok(reached),
+                    }
+                }
+                match self.piece(path, &id, offset, bytes) {
+                    Err(Fault::Gone(_)) => Ok(None),
+                    // A proxy may deliver a lost piece late: HEAD says where to continue.
+                    Err(Fault::Conflict(failure)) => Err(Fault::Later(None, failure)),
+                    outcome => outcome.map(Some),
+                }
             })?;
             match reached {
                 Some(reached) => offset = reached,
@@ -119,14 +135,16 @@ impl Sender<'_> {
     }
 
     /// Starts the upload of a file and returns its id.
-    fn begin(&self, name: &str, bytes: u64) -> Result<String, Fault> {
+    fn begin(&mut self, name: &str, bytes: u64) -> Result<String, Fault> {
         let request = Request::post(self.remote.url(UPLOADS))
             .header("upload-length", bytes)
             .header("upload-metadata", format!("filename {}", STANDARD.encode(name)));
         let answer = self.ask(request, "")?;
         let address = answer.headers().get(header::LOCATION).and_then(|value| value.to_str().ok());
         let id = address.and_then(|address| address.rsplit('/').next());
-        id.map(str::to_owned).ok_or_else(|| no_service("its answer has no `Location`"))
+        let id = id.ok_or_else(|| no_service("its answer has no `Location`"))?.to_owned();
+        self.begun.push(id.clone());
+        Ok(id)
     }
 
     /// Bytes of an upload that have arrived; `None` if it is gone.
@@ -134,8 +152,7 @@ impl Sender<'_> {
         let request = Request::head(self.remote.url(&format!("{UPLOADS}/{id}")));
         match self.ask(request, ()) {
             Ok(answer) => offset(&answer).map(Some),
-            // The answer to HEAD has no body with a reason: the next request finds it again.
-            Err(Fault::Refused(_)) => Ok(None),
+            Err(Fault::Gone(_)) => Ok(None),
             Err(fault) => Err(fault),
         }
     }
@@ -171,15 +188,8 @@ impl Sender<'_> {
             // With this header, a refusal arrives before the body is sent.
             .header(header::EXPECT, "100-continue");
         let answer = self.ask(request, SendBody::from_reader(&mut body));
-        let sent = self.bar.position() - before;
-        let answer = answer.map_err(|fault| {
-            self.bar.set_position(before);
-            match fault {
-                Fault::Lost(why, _) => Fault::Lost(why, sent > MUCH),
-                fault => fault,
-            }
-        })?;
-        offset(&answer)
+        // Bytes sent are not bytes stored.
+        offset(&answer.inspect_err(|_| self.bar.set_position(before))?)
     }
 
     fn ask(&self, request: Builder, body: impl AsSendBody) -> Result<Response<Body>, Fault> {

@@ -45,9 +45,8 @@ pub struct ExportQuery {
 pub struct DownloadQuery {
     /// Round to use; by default the delivered one.
     round: Option<u32>,
-    /// Keeps only the Gaussians of a scene whose centres are inside a shape:
-    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, from its middle, in the world of
-    /// the poses.
+    /// Keeps only the Gaussians whose centres lie in a shape around X, Y, Z:
+    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, in the world of the poses.
     #[param(example = "sphere:0,0,2,3")]
     crop: Option<String>,
     /// Degree of a scene's harmonics: they are cut, or padded with zeros.
@@ -132,7 +131,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The crop leaves nothing, or this export has no scene", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The crop or the degree cannot be used, or this export has no scene", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
@@ -147,9 +146,11 @@ pub async fn download(
     // Compression holds a whole scene in memory.
     let turn = turn(&app)?;
     let output = app.data.output(&id);
-    let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round, trim));
+    // The slot goes with the work, which goes on if the client leaves.
+    let prepare = move || export.prepare(&output, round, trim).map(|prepared| (prepared, turn));
+    let prepared = tokio::task::spawn_blocking(prepare);
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
-    let prepared = prepared.map_err(|error| refused(&error))?;
+    let (prepared, turn) = prepared.map_err(|error| refused(&error))?;
     let body = body_of(move |pieces| {
         make(&prepared, pieces, &id);
         drop(turn);

@@ -78,7 +78,7 @@ fn only_accepted_photographs_leave_images() {
         let names: BTreeSet<String> = names.map(|name| name.expect("UTF-8")).collect();
         names.into_iter().filter(|name| !name.starts_with('.')).collect::<Vec<_>>()
     };
-    let views = ["view-00000.half", "view-00001.half", "view-00003.half"];
+    let views = ["view-00000.half", "view-00002.half", "view-00003.half"];
     assert_eq!(listed()[..2], ["manifest.json", "truth-00000.half"]);
     assert_eq!(listed()[2..], views);
     let masks = folder.path().join("capture/masks");

@@ -79,7 +79,7 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
     assert!(body("?crop=sphere:0,0,0,1000&sh_degree=3") > 3 * whole);
     for (query, pointer, fault) in [
         ("crop=box:0,0,0,1,1", "/crop", "must be box:X,Y,Z"),
-        ("crop=sphere:0,0,0,-1", "/crop", "must be above 0"),
+        ("crop=sphere:0,0,0,-1", "/crop", "must be positive"),
         ("crop=sphere:0,0,x,1", "/crop", "`x` is not a number"),
         ("sh_degree=4", "/sh_degree", "must be from 0 to 3"),
         ("sh_degree=-1", "/sh_degree", ""),
