@@ -76,7 +76,7 @@ pub enum BlobError {
     #[error("{0:?} is no digest of a blob, which is 64 of the digits 0-9 and a-f; it was refused")]
     Digest(String),
     /// A file was written to while it was read; nothing was stored.
-    #[error("{0} changed while it was read; try again when nobody writes to it")]
+    #[error("{0} changed while it was read; try again when nothing writes to it")]
     Changed(PathBuf),
     /// A local file or directory could not be used.
     #[error("{path}: {source}; check that it is there and that this user may use it")]

@@ -143,7 +143,7 @@ impl Capture {
     /// # Errors
     /// As [`Capture::prepare`].
     pub fn open_at(path: &Path, scratch_dir: &Path, side: usize) -> Result<Self, CaptureError> {
-        Self::prepare(path, &scratch_dir.join("prepared"), side, &Watch::nobody())
+        Self::prepare(path, &scratch_dir.join("prepared"), side, &Watch::silent())
     }
 
     /// Prepares a capture: writes its images, with a longest side of at most `side` px, and a

@@ -336,7 +336,7 @@ mod tests {
         }
         let options = serde_json::to_vec_pretty(&Options::default()).expect("JSON");
         std::fs::write(dir.path().join("out/config.json"), options).expect("written");
-        let inspection = Inspection::of(dir.path(), dir.path(), &Watch::nobody());
+        let inspection = Inspection::of(dir.path(), dir.path(), &Watch::silent());
         assert_eq!(inspection.expect("a capture").photographs.len(), 3);
     }
 

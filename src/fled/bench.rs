@@ -137,7 +137,7 @@ fn run_job(
     let begin = Instant::now();
     let side = PREPARED_SIDE.max(options.longest_side() as usize);
     let prepared = workspace.folder().work().prepared();
-    let capture = Capture::prepare(capture, &prepared, side, &Watch::nobody());
+    let capture = Capture::prepare(capture, &prepared, side, &Watch::silent());
     let capture = capture.map_err(PipelineError::from)?;
     let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
     let mut kit = tools::Kit::new(&places, &options, &capture)?;

@@ -175,7 +175,7 @@ fn prepare(
         Look::Ended(name) => report(Message::Ended { name: name.to_owned() }),
         Look::Seen(..) => {}
     };
-    let watch = Watch { tell: &tell, ..Watch::nobody() };
+    let watch = Watch { tell: &tell, ..Watch::silent() };
     let capture = Capture::prepare(&photographs, &args.out, args.size, &watch);
     if !args.keep_frames {
         Capture::discard_frames(&args.out);
@@ -213,7 +213,7 @@ fn frames(
     let name = video.file_name().unwrap_or_default().to_string_lossy();
     let wanted = Wanted { count: source.frames, into: &unfinished, stem: "frame", room: u64::MAX };
     let taken = video::take_frames(&source.ffmpeg.command()?, video, &wanted, cancel)?;
-    let message = taken.told(&name);
+    let message = taken.summary(&name);
     report(match taken.hdr {
         Some(_) => Message::Warning { code: "video".to_owned(), message },
         None => Message::Log { message },

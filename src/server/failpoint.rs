@@ -17,7 +17,7 @@ pub enum Failpoint {
     /// The lease has been extended.
     Extended,
     /// An event has been recorded.
-    Told,
+    Recorded,
     /// Progress has been recorded.
     Advanced,
     /// Files are in the blob store, but not yet named.
@@ -41,7 +41,7 @@ impl Failpoint {
         Self::Fetched,
         Self::Started,
         Self::Extended,
-        Self::Told,
+        Self::Recorded,
         Self::Advanced,
         Self::Stored,
         Self::Named,

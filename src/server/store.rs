@@ -59,7 +59,7 @@ pub use events::EventRow;
 pub use feed::EventFeed;
 pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
-pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
+pub use jobs::{JobDetails, JobError, JobFilter, JobRow, Needs, NewJob};
 pub use lease::{Claim, JobKind, Lease, Machine};
 pub use results::{Score, StageSeconds, WarningRow};
 pub use retention::Retention;
@@ -81,7 +81,7 @@ pub struct Store {
     url: Option<String>,
     notifier: Arc<Notifier>,
     feeds: Arc<Feeds>,
-    /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
+    /// Leases are counted from here, on a clock that is never set: see [`Store::lease_clock`].
     opened: Instant,
 }
 

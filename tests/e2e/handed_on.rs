@@ -52,8 +52,8 @@ fn a_finished_run_becomes_videos_and_exports() {
         assert_eq!(probed(&video), expected, "{way:?}");
         let lines = String::from_utf8_lossy(&output.stdout).into_owned();
         let last = lines.lines().last().unwrap_or_default();
-        let is_told = last.starts_with(r#"{"event":"finished","best_round":0,"#);
-        assert_eq!(is_told, way.contains(&"--json"), "{lines}");
+        let is_known = last.starts_with(r#"{"event":"finished","best_round":0,"#);
+        assert_eq!(is_known, way.contains(&"--json"), "{lines}");
     }
     let model = folder.path().join("colmap.zip");
     let output = made(&["export", "colmap.zip"], &run, &model);

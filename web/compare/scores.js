@@ -98,8 +98,8 @@ export function scores() {
       real.filter(([key]) => !FIRST.includes(key)),
     ];
     const wasOpen = body.querySelector("details.rest")?.open ?? first.length === 0;
-    const isTold = real.some(([key]) => key === "psnr_cc");
-    const blank = isTold ? "" : lack(entries, of);
+    const isKnown = real.some(([key]) => key === "psnr_cc");
+    const blank = isKnown ? "" : lack(entries, of);
     body.replaceChildren(
       h("p", { class: "hint", hidden: !blank }, blank),
       h(

@@ -2,7 +2,7 @@
 
 import { chart } from "../lib/chart.js";
 import { duration, fold, h, plain } from "../lib/dom.js";
-import { told } from "../lib/table.js";
+import { staticTable } from "../lib/table.js";
 import { METRICS, meanings } from "../lib/words.js";
 
 /** Whether the capture has ground truth; only that measures quality. */
@@ -60,5 +60,5 @@ function roundTable(rounds) {
   const cells = (round) => [round.round, duration(round.seconds), round.gaussians.toLocaleString(), round.steps.toLocaleString(),
     round.steps_per_second?.toFixed(1), round.noise_sigma?.render?.toFixed(4) ?? round.noise_sigma?.renders?.toFixed(4) ?? "",
     round.shake_px?.toFixed(2), round.pose_correction_px?.toFixed(2), round.worse_than_previous ? "worse than the previous round" : ""];
-  return told(COLUMNS, rounds.map((round) => cells(round).map((text) => String(text ?? ""))));
+  return staticTable(COLUMNS, rounds.map((round) => cells(round).map((text) => String(text ?? ""))));
 }

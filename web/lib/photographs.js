@@ -1,7 +1,7 @@
 // The results of checking a capture's photographs.
 
 import { address, count, h, prose } from "./dom.js";
-import { told } from "./table.js";
+import { staticTable } from "./table.js";
 
 const COLUMNS = [{ title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") }, { title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" }, { title: "Colours", class: "word" },
   { title: "Brightness", class: "word" }, { title: "Sharpness", class: "word" }, { title: "Position" }, { title: "Status" }, { title: "Warnings" }];
@@ -59,7 +59,7 @@ function opening(capture, image) {
 export function photographs(capture, positions = new Map()) {
   const images = [...capture.images].sort((a, b) => Number(a.accepted) - Number(b.accepted));
   const share = (value) => (value === undefined ? "" : `${(100 * value).toFixed(0)} %`);
-  return told(COLUMNS, images.map((image) => [
+  return staticTable(COLUMNS, images.map((image) => [
     opening(capture, image),
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",

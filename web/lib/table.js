@@ -15,7 +15,7 @@ export function table(columns, rows, properties = {}) {
 }
 
 /** The same for rows that do not change, without columns that are empty in all of them. */
-export function told(columns, rows) {
+export function staticTable(columns, rows) {
   const says = columns.map((_, i) => rows.some((cells) => !isEmpty(cells[i])));
   return table(columns.filter((_, i) => says[i]), rows.map((cells) => cells.filter((_, i) => says[i])));
 }

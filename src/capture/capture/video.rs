@@ -66,7 +66,7 @@ pub struct Taken {
 
 impl Taken {
     /// A sentence for the user, who knows the video as `name`.
-    pub fn told(&self, name: &str) -> String {
+    pub fn summary(&self, name: &str) -> String {
         let hdr = self.hdr.map_or(String::new(), |hdr| format!("; {hdr}"));
         let fields =
             if self.is_interlaced { "; it is interlaced and was deinterlaced" } else { "" };

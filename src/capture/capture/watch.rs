@@ -30,7 +30,7 @@ pub struct Watch<'a> {
 
 impl Watch<'_> {
     /// Reports nothing, and uses the default budget.
-    pub fn nobody() -> Self {
+    pub fn silent() -> Self {
         Self { lend: &|_| DecodeBudget::default(), tell: &|_| () }
     }
 }

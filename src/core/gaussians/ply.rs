@@ -389,7 +389,7 @@ mod tests {
             std::fs::write(&path, bytes).expect("written");
             read(&path)
         };
-        assert!(with("offset of somebody else").is_ok());
+        assert!(with("offset of another program").is_ok());
         for bad in ["fled: trained as world less 1 2 x times 1", "fled: add", "fled: what"] {
             assert!(matches!(with(bad), Err(PlyError::Format { .. })), "{bad}");
         }

@@ -373,8 +373,8 @@ fn slope(small: &Small<'_>, gains: &[Gains], exif: &[f64]) -> Option<f64> {
     let sum = |of: fn((f64, f64)) -> f64| pairs.clone().map(of).sum::<f64>();
     let (squares, products) = (sum(|(x, _)| x * x), sum(|(x, y)| x * y));
     let correlation = products / (squares * sum(|(_, y)| y * y)).sqrt();
-    let is_told = pairs.clone().count() >= MIN_EXIF && correlation >= MIN_CORRELATION;
-    is_told.then(|| products / squares)
+    let is_known = pairs.clone().count() >= MIN_EXIF && correlation >= MIN_CORRELATION;
+    is_known.then(|| products / squares)
 }
 
 /// What a coarse scene of the photographs tells.

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::extract::Json;
-use super::jobs::told;
+use super::jobs::load_job;
 use super::problem::Problem;
 use super::shapes::Job;
 use super::upload::check_name;
@@ -51,7 +51,7 @@ pub async fn change(
     }
     let tags = body.tags.as_deref().map(distinct).transpose()?;
     app.store.change_job(&id, body.name.as_deref(), tags.as_deref()).await?;
-    Ok(axum::Json(told(&app, &id).await?))
+    Ok(axum::Json(load_job(&app, &id).await?))
 }
 
 /// Trims the tags and removes duplicates, keeping their order.

@@ -30,7 +30,7 @@ use crate::app::crew::Crew;
 use crate::error::ServerError;
 use crate::files::remove;
 use crate::store::state::JobState;
-use crate::store::{Creation, JobFilter, JobRow, ToldJob};
+use crate::store::{Creation, JobDetails, JobFilter, JobRow};
 
 /// How long a cancellation waits for the job to end before it responds.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
@@ -58,7 +58,7 @@ pub struct CreateJob {
 /// A job of an existing capture, or of finished uploads.
 #[derive(ToSchema)]
 #[serde(untagged)]
-#[expect(dead_code, reason = "it describes what is told apart by its fields")]
+#[expect(dead_code, reason = "it describes what is distinguished by its fields")]
 pub enum JobOrder {
     /// A job of an existing capture.
     OfCapture(CreateJob),
@@ -160,7 +160,7 @@ pub async fn create(
         Creation::OverQuota => return Err(over_quota_jobs(&visitor)),
     };
     let location = format!("/v1/jobs/{}", row.id);
-    let job = told(&app, &row.id).await?;
+    let job = load_job(&app, &row.id).await?;
     let mut response =
         (StatusCode::ACCEPTED, [(header::LOCATION, location)], axum::Json(job)).into_response();
     if replayed {
@@ -338,7 +338,7 @@ pub async fn list(
     let last = found.last().filter(|_| more);
     let next_cursor = last.map(|job| job.row.id.clone());
     let crew = crew(&app, &found).await?;
-    let jobs = found.into_iter().map(|job| Job::from_told(job, crew.as_ref())).collect();
+    let jobs = found.into_iter().map(|job| Job::from_details(job, crew.as_ref())).collect();
     Ok(axum::Json(Jobs { jobs, next_cursor }))
 }
 
@@ -352,7 +352,7 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<axum::Json<Job>, Problem> {
-    Ok(axum::Json(told(&app, &id).await?))
+    Ok(axum::Json(load_job(&app, &id).await?))
 }
 
 /// Cancels a job and stops all of its processes within two seconds.
@@ -384,7 +384,7 @@ pub async fn cancel(
     if let Ok(outcome) = tokio::time::timeout(CANCEL_PATIENCE, ended).await {
         outcome?;
     }
-    let job = told(&app, &id).await?;
+    let job = load_job(&app, &id).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
@@ -419,15 +419,15 @@ pub(super) fn over(row: &JobRow) -> Problem {
 }
 
 /// Returns the job's JSON, or 404.
-pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
-    let job = app.store.told_job(id).await?;
+pub(super) async fn load_job(app: &App, id: &str) -> Result<Job, Problem> {
+    let job = app.store.job_details(id).await?;
     let job = job.ok_or_else(|| Problem::not_found("job"))?;
     let crew = crew(app, std::slice::from_ref(&job)).await?;
-    Ok(Job::from_told(job, crew.as_ref()))
+    Ok(Job::from_details(job, crew.as_ref()))
 }
 
 /// The connected workers, if any of these jobs waits for one.
-async fn crew(app: &App, jobs: &[ToldJob]) -> Result<Option<Crew>, Problem> {
+async fn crew(app: &App, jobs: &[JobDetails]) -> Result<Option<Crew>, Problem> {
     let waits = jobs.iter().any(|job| job.row.state == JobState::Queued);
     Ok(if waits { Some(Crew::of(app).await?) } else { None })
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::extract::{Path, State};
 
-use super::jobs::told;
+use super::jobs::load_job;
 use super::problem::Problem;
 use super::shapes::Job;
 use crate::app::App;
@@ -38,5 +38,5 @@ pub async fn unpin(
 
 async fn set(app: &App, id: &str, pinned: bool) -> Result<Json<Job>, Problem> {
     app.store.pin_job(id, pinned).await?;
-    Ok(Json(told(app, id).await?))
+    Ok(Json(load_job(app, id).await?))
 }

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::access::Visitor;
 use super::extract::Json;
-use super::jobs::told;
+use super::jobs::load_job;
 use super::lookup::find;
 use super::priority::Priority;
 use super::problem::Problem;
@@ -50,5 +50,5 @@ pub async fn prioritize(
         return Err(Problem::conflict("wrong_state", detail)
             .hint("Only queued and running jobs have a priority."));
     }
-    Ok(axum::Json(told(&app, &id).await?))
+    Ok(axum::Json(load_job(&app, &id).await?))
 }

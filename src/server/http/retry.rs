@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 
 use super::access::Visitor;
 use super::extract::Json;
-use super::jobs::{over, told};
+use super::jobs::{load_job, over};
 use super::lookup::find;
 use super::order::Order;
 use super::problem::Problem;
@@ -67,7 +67,7 @@ pub async fn retry(
         Retry::WrongState => return Err(over(&row)),
         Retry::QueueFull => return Err(queue_full()),
     }
-    let job = told(&app, &id).await?;
+    let job = load_job(&app, &id).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 

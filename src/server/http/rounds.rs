@@ -64,7 +64,7 @@ pub async fn show(
     Path(id): Path<String>,
     Query(query): Query<RoundsQuery>,
 ) -> Result<Response, Problem> {
-    let job = app.store.told_job(&id).await?;
+    let job = app.store.job_details(&id).await?;
     let job = job.ok_or_else(|| Problem::not_found("job"))?;
     let rounds = app.store.rounds(&id).await?;
     if matches!(query.format, Some(Form::Csv)) {

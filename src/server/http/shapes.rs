@@ -10,7 +10,7 @@ use utoipa::openapi::Ref;
 
 use crate::app::crew::Crew;
 use crate::store::state::JobState;
-use crate::store::{CaptureRow, JobRow, ToldJob};
+use crate::store::{CaptureRow, JobDetails, JobRow};
 use crate::validation::{CaptureReport, Warning};
 
 /// A capture with the assessments of its photographs.
@@ -197,8 +197,8 @@ pub struct Jobs {
 }
 
 impl Job {
-    pub fn from_told(job: ToldJob, crew: Option<&Crew>) -> Self {
-        let ToldJob { row, warnings, stages, queue_position, stage_started_at, score } = job;
+    pub fn from_details(job: JobDetails, crew: Option<&Crew>) -> Self {
+        let JobDetails { row, warnings, stages, queue_position, stage_started_at, score } = job;
         Self {
             warnings: warnings
                 .into_iter()

@@ -149,7 +149,7 @@ mod tests {
         let place = Place::new();
         let blob = place.put("old".to_owned(), 25 * HOUR).await;
         for _ in 0..2 {
-            claim(&file, &place.blobs).await.expect("nobody's, or its own");
+            claim(&file, &place.blobs).await.expect("unclaimed, or its own");
         }
         let refused = collect(&server, &place.blobs).await;
         assert!(matches!(refused, Err(ServerError::StoreOfAnother(_))), "{refused:?}");
@@ -176,7 +176,7 @@ mod tests {
         place.put("old".to_owned(), 25 * HOUR).await;
         let began = std::time::Instant::now();
         while collected().await == 0 {
-            assert!(began.elapsed() < Duration::from_secs(10), "nobody may collect");
+            assert!(began.elapsed() < Duration::from_secs(10), "no other may collect");
             tokio::time::sleep(Duration::from_millis(20)).await;
         }
     }

@@ -167,7 +167,7 @@ mod tests {
                     ready = Some((index, next.expect("a turn")));
                 }
             }
-            let (index, next) = ready.expect("somebody has a turn");
+            let (index, next) = ready.expect("one has a turn");
             order.push(waiting.remove(index).0);
             turn = next;
         }

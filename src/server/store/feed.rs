@@ -130,7 +130,7 @@ mod tests {
         assert!(Arc::ptr_eq(&ahead, &behind), "one reads for both");
         assert_eq!(seqs(&ahead.after(&store, 1, 1).await.expect("read")), [2]);
         for round in 0..500 {
-            store.record(&claim.lease, &event(round)).await.expect("told");
+            store.record(&claim.lease, &event(round)).await.expect("reported");
         }
         // The database is not read again until this process sees a change.
         let next = ahead.after(&store, 2, 1).await.expect("read");

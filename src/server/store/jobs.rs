@@ -112,7 +112,7 @@ pub struct Needs {
 
 /// A job with all its reports so far.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ToldJob {
+pub struct JobDetails {
     /// Its row.
     pub row: JobRow,
     /// Its warnings, oldest first.
@@ -182,7 +182,7 @@ impl Store {
         only: JobFilter<'_>,
         limit: u32,
         cursor: Option<&str>,
-    ) -> Result<Vec<ToldJob>> {
+    ) -> Result<Vec<JobDetails>> {
         // Only the requested conditions: an optional condition keeps PostgreSQL from using its
         // indices.
         let conditions = [
@@ -209,7 +209,7 @@ impl Store {
     ///
     /// # Errors
     /// When a database operation fails.
-    pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
+    pub async fn job_details(&self, id: &str) -> Result<Option<JobDetails>> {
         let one = format!("{DETAILED} WHERE id = $1 AND video_of IS NULL");
         let row = sqlx::query(sqlx::AssertSqlSafe(one)).bind(id).fetch_optional(&self.pool).await?;
         let rows: Vec<AnyRow> = row.into_iter().collect();
@@ -217,7 +217,7 @@ impl Store {
     }
 
     /// Adds the reports of the jobs, in three statements for any number of jobs.
-    async fn detailed(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
+    async fn detailed(&self, rows: &[AnyRow]) -> Result<Vec<JobDetails>> {
         let jobs: Vec<JobRow> = rows.iter().map(from_row).collect::<Result<_>>()?;
         let ids: Vec<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
         let ids = json!(ids).to_string();
@@ -233,7 +233,7 @@ impl Store {
             job.eta_seconds = still_left(job.eta_seconds, estimated_at, now);
             let mut stages = stages.remove(&job.id).unwrap_or_default();
             stages.sort_by_key(|done: &StageSeconds| (done.round, place(&done.stage)));
-            Ok(ToldJob {
+            Ok(JobDetails {
                 warnings: warnings.remove(&job.id).unwrap_or_default(),
                 stages,
                 queue_position: row.count_if_any("queue_position")?,

@@ -230,11 +230,11 @@ impl Store {
 
     /// Begins a transaction that has checked the epoch and locked the job.
     pub(super) async fn fenced(&self, lease: &Lease) -> Result<Tx> {
-        Ok(self.fenced_with_told(lease).await?.0)
+        Ok(self.fenced_with_count(lease).await?.0)
     }
 
     /// Like [`Store::fenced`], and returns the number of reports under the lease so far.
-    pub(super) async fn fenced_with_told(&self, lease: &Lease) -> Result<(Tx, i64)> {
+    pub(super) async fn fenced_with_count(&self, lease: &Lease) -> Result<(Tx, i64)> {
         let mut tx = self.begin().await?;
         let held = format!(
             "SELECT told FROM jobs WHERE id = $1 AND epoch = $2 AND state = 'running'{}",

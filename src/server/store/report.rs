@@ -124,7 +124,7 @@ impl Store {
         report: Report<'_>,
         before: &mut Option<i64>,
     ) -> Result<()> {
-        let (mut tx, count) = self.fenced_with_told(lease).await?;
+        let (mut tx, count) = self.fenced_with_count(lease).await?;
         if count > *before.get_or_insert(count) {
             // The transaction whose answer was lost was committed.
             return Ok(());

@@ -198,7 +198,7 @@ mod tests {
                 assert_eq!(expires(&store, kept).await, None, "{kept}");
             }
             store.mark_expiring(&KEPT, now + DAY).await.expect("marked");
-            assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
+            assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as announced");
             let early = store.delete_expired(now + 7 * DAY - 1, false).await;
             assert_eq!(early.expect("none"), Expired::default());
             let gone = store.delete_expired(now + 7 * DAY, false).await.expect("one");

@@ -187,7 +187,7 @@ mod tests {
         let now = live.attempted().await.expect("jobs");
         let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");
         assert_eq!(anew, 1);
-        assert!(!copy.begin_anew("nobody").await.expect("asked"));
+        assert!(!copy.begin_anew("no-job").await.expect("asked"));
         let state = async |id| copy.job(id).await.expect("read").map(|job| job.state.name());
         assert_eq!(state("stays").await, Some("cancelled"));
         assert_eq!(state("again").await, Some("queued"));

@@ -102,7 +102,7 @@ fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
     let command = guarded(&video.ffmpeg)
         .map_err(|source| VideoError::Io { path: "the running program".into(), source })?;
     let taken = take_frames(&command, &video.file, &wanted, &CancelToken::new())?;
-    Ok(taken.told(&name))
+    Ok(taken.summary(&name))
 }
 
 fn fault(error: &VideoError) -> VideoFault {

@@ -354,7 +354,7 @@ impl Attempt<'_> {
                 while let Err(error) = self.app.store.record(&self.lease, &event).await {
                     self.pause_if_busy(error).await?;
                 }
-                self.app.pass(Failpoint::Told);
+                self.app.pass(Failpoint::Recorded);
             }
         }
         Ok(())

@@ -282,7 +282,7 @@ fn photographs_with_the_same_name_get_distinct_names() {
             assert_eq!(before, None, "two are called {name}");
         }
     };
-    let watch = Watch { tell: &tell, ..Watch::nobody() };
+    let watch = Watch { tell: &tell, ..Watch::silent() };
     let capture = Inspection::of(&home.path().join("capture"), home.path(), &watch);
     let capture = capture.expect("a capture");
     let names: Vec<&str> = capture.assessments.iter().map(|one| one.name.as_str()).collect();

@@ -211,7 +211,7 @@ fn a_larger_range_becomes_srgb_with_a_warning() {
         let video = grey(&folder, &format!("{name}-{level}.mov"), level, transfer);
         let into = folder.path().join(format!("{name}-{level}"));
         let taken = taken(&video, 3, &into).expect("frames");
-        let warning = taken.told("it");
+        let warning = taken.summary("it");
         assert!(warning.contains(&format!("HDR ({name}) and was tone-mapped")), "{warning}");
         let image = Image::<Srgb>::load(&taken.files[0]).expect("a photograph");
         for value in image.get(48, 32) {
@@ -315,7 +315,7 @@ fn combed(command: &[OsString], video: &Path) -> Result<(f32, String), VideoErro
     let taken = take_frames(command, video, &wanted(4, &into), &CancelToken::new())?;
     let images = taken.files.iter().map(|file| Image::<Srgb>::load(file).expect("a photograph"));
     let worst = images.map(|image| comb(&image).max(comb(&transposed(&image)))).fold(0.0, f32::max);
-    Ok((worst, taken.told("it")))
+    Ok((worst, taken.summary("it")))
 }
 
 fn transposed(image: &Image<Srgb>) -> Image<Srgb> {

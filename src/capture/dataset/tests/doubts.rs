@@ -45,7 +45,7 @@ fn impossible_lenses_are_reported_with_their_values() {
 #[test]
 fn a_pose_of_nearly_the_same_size_is_reported_with_both_sizes() {
     let capture = capture();
-    for (width, height, is_told) in [
+    for (width, height, is_known) in [
         (80, 60, false),
         (41, 31, false),
         (40, 30, false),
@@ -55,7 +55,7 @@ fn a_pose_of_nearly_the_same_size_is_reported_with_both_sizes() {
     ] {
         let edit = json!({ "w": width, "h": height, "fl_x": 0.875 * f64::from(width) });
         let warnings = warnings(&capture, &edit);
-        match is_told {
+        match is_known {
             true => expect_warning(&warnings, &["40 x 30 px", &format!("{width} x {height} px")]),
             false => assert_eq!(warnings, [""; 0], "{width} x {height}"),
         }

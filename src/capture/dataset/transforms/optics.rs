@@ -193,6 +193,6 @@ fn distortion(fields: &Fields<'_>) -> Result<Distortion, String> {
 
 /// Whether it is a fisheye lens with tangential terms.
 pub(super) fn has_unused_terms(fields: &Fields<'_>) -> bool {
-    let is_told = |key| matches!(fields.number(key), Ok(Some(term)) if term != 0.0);
-    matches!(projection(fields), Ok(Projection::Fisheye)) && (is_told("p1") || is_told("p2"))
+    let is_known = |key| matches!(fields.number(key), Ok(Some(term)) if term != 0.0);
+    matches!(projection(fields), Ok(Projection::Fisheye)) && (is_known("p1") || is_known("p2"))
 }

@@ -319,7 +319,7 @@ fn slowed(recording: &Recording, by: f64) -> Vec<(f64, Event)> {
 }
 
 /// The moments from the tenth pair on at which the time left is off by more than half, or not
-/// told: in the search for poses it may be unknown.
+/// given: in the search for poses it may be unknown.
 fn off_by_half(moments: &[Moment], end: f64) -> Vec<String> {
     let wrong = |moment: &&Moment| {
         let truth = end - moment.at;

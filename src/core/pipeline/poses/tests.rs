@@ -215,7 +215,7 @@ fn cached_poses_are_as_young_as_their_last_use() {
 }
 
 #[test]
-fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_figures() {
+fn photographs_without_a_pose_and_doubtful_poses_are_reported_once_with_names_and_figures() {
     let mut warnings = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::Warning { code, message } = event {

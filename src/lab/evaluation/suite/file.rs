@@ -267,7 +267,7 @@ impl Suite {
         if self.timing(of).is_none() {
             return fault(
                 "no configuration without it has the same `material` and the same `set` but for \
-                 `steps`, so nobody knows how many steps a second it makes"
+                 `steps`, so its steps a second are unknown"
                     .to_owned(),
             );
         }

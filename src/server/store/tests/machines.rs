@@ -13,7 +13,7 @@ async fn a_repeated_report_is_applied_once() {
     // Like `report`: the first transaction commits, but its answer is lost.
     let mut before = None;
     let report = report::Report::Event(&warning);
-    store.report_once(&lease, report, &mut before).await.expect("told");
+    store.report_once(&lease, report, &mut before).await.expect("reported");
     store.report_once(&lease, report, &mut before).await.expect("known");
     let events = store.events_after("j", 0, 9).await.expect("events");
     assert_eq!(events.iter().filter(|event| event.kind == "warning").count(), 1);
@@ -110,7 +110,7 @@ async fn only_the_leases_of_the_restarted_worker_are_released() {
     });
     assert_eq!(late.await.expect("released"), ["b"]);
     assert!(matches!(store.heartbeat(&lives, 9).await, Err(ServerError::LeaseLost(_))));
-    assert!(matches!(store.heartbeat(&dead, -1).await, Ok(false)), "nobody has it yet");
+    assert!(matches!(store.heartbeat(&dead, -1).await, Ok(false)), "no worker has it yet");
 }
 
 #[tokio::test]

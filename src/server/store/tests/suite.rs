@@ -205,7 +205,7 @@ async fn a_time_left_runs_out_while_nothing_is_reported() {
     let lease = claim.expect("job").lease;
     let left = async || {
         store
-            .told_job("j")
+            .job_details("j")
             .await
             .expect("read")
             .expect("job")
@@ -360,7 +360,7 @@ async fn a_job_knows_its_queue_position_and_when_its_stage_began() {
     }
     let claim = store.claim("w", 60_000, &[]).await.expect("claim");
     let lease = claim.expect("job").lease;
-    let job = async |id| store.told_job(id).await.expect("read").expect("job");
+    let job = async |id| store.job_details(id).await.expect("read").expect("job");
     let places = [job("a").await, job("b").await, job("c").await];
     assert_eq!(places.map(|j| j.queue_position), [None, Some(1), Some(2)]);
     let (stage, round) = (Stage::Poses, 0);

@@ -67,7 +67,7 @@ async fn a_video_is_not_counted_as_a_job_and_outlives_its_worker() {
     store.request_cancel("j").await.expect("cancelled");
     film(&store, "v", "j").await;
     assert_eq!(store.job("v").await.expect("read"), None);
-    assert_eq!(store.told_job("v").await.expect("read"), None);
+    assert_eq!(store.job_details("v").await.expect("read"), None);
     assert_eq!(store.jobs(JobFilter::default(), 9, None).await.expect("read").len(), 1);
     assert_eq!(store.waiting().await.expect("read"), 0);
     let counts = store.jobs_by_state().await.expect("read");

@@ -69,14 +69,14 @@ fn options_that_would_fail_late_are_refused_at_once() {
     let refused = |options: Value| order(options).expect(422).json()["pointer"].clone();
     assert_eq!(refused(json!({ "target": "bright" })), "/options/target");
     assert_eq!(refused(json!({ "target": "1,2,3" })), "/options/target");
-    assert_eq!(refused(json!({ "held_out": "nobody" })), "/options/held_out");
+    assert_eq!(refused(json!({ "held_out": "no-such-view" })), "/options/held_out");
     assert_eq!(refused(json!({ "held_out": 1 })), "/options/held_out");
     assert_eq!(refused(json!({ "held_out": " 8 " })), "/options/held_out");
     assert_eq!(refused(json!({ "adapter": "x".repeat(300) })), "/options/adapter");
     let held_out = "000, 002";
     order(json!({ "target": "10,0.8", "held_out": held_out, "adapter": "ok" })).expect(202);
     let mut parts = photographs(3);
-    parts.push(text("options", r#"{"held_out":"nobody"}"#));
+    parts.push(text("options", r#"{"held_out":"no-such-view"}"#));
     server.upload("/v1/jobs", &parts, &[]).expect(422);
     let captures = server.get("/v1/captures", &[]).expect(200).json();
     assert_eq!(captures["captures"].as_array().map(Vec::len), Some(7), "a refused one was kept");

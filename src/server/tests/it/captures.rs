@@ -63,7 +63,7 @@ fn a_zip_is_validated_by_its_own_names_and_stored_unchanged() {
         server.upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[]).expect(422).json();
     assert!(
         !bad["detail"].as_str().expect("detail").contains("incoming"),
-        "a path of the server is told: {bad}"
+        "a path of the server is shown: {bad}"
     );
     let parts = [file("walk.zip", &zip(&content)), file("a.png", &photograph(1))];
     server.upload("/v1/captures", &parts, &[]).expect(422);
@@ -126,7 +126,7 @@ fn every_photograph_has_a_thumbnail_and_its_original() {
             assert_eq!(whole.header("content-type"), "image/png");
             assert!(sent.contains(&whole.body), "as it was sent");
             let [brightness, sharpness] =
-                ["brightness", "sharpness"].map(|key| image[key].as_f64().expect("told"));
+                ["brightness", "sharpness"].map(|key| image[key].as_f64().expect("reported"));
             assert!((0.0..=1.0).contains(&brightness) && sharpness > 0.0, "{image}");
         }
         for other in ["d.png", "..%2F..%2F..%2Ffled.db", "%2Fetc%2Fpasswd"] {

@@ -112,7 +112,7 @@ fn active_requests_keep_their_places_and_others_get_503() {
         assert_eq!(&head, b"HTTP/1.1 200 OK");
     }
     let mut refused = String::new();
-    connect(&server).read_to_string(&mut refused).expect("told");
+    connect(&server).read_to_string(&mut refused).expect("reported");
     assert!(refused.starts_with("HTTP/1.1 503") && refused.contains("Retry-After"), "{refused}");
     assert!(refused.contains("application/problem+json"), "{refused}");
     assert!(refused.contains("too_many_connections"), "{refused}");

@@ -26,7 +26,7 @@ fn a_worker_may_die_at_any_failpoint() {
     for (index, failpoint) in Failpoint::ALL.into_iter().enumerate() {
         let times = match failpoint {
             Failpoint::Extended => 2,
-            Failpoint::Told | Failpoint::Advanced | Failpoint::Stored | Failpoint::Named => 4,
+            Failpoint::Recorded | Failpoint::Advanced | Failpoint::Stored | Failpoint::Named => 4,
             _ => 1,
         };
         let plan = format!("{failpoint}:{times}");
@@ -66,7 +66,7 @@ fn wrong_clocks_do_not_disturb_workers() {
     for job in &jobs {
         succeeds(&api, job, &calm);
         let shown = api.show(job);
-        assert_eq!(shown["attempts"], 1, "nobody took it for lost");
+        assert_eq!(shown["attempts"], 1, "no worker took it for lost");
         let took = seconds(&shown["finished_at"]) - seconds(&shown["created_at"]);
         assert!((0..60).contains(&took), "{took} s by the database's clock");
     }

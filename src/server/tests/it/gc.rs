@@ -27,7 +27,7 @@ fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static
     let mut note = |gone: &fled_server::Gone| {
         let path = gone.path.to_string_lossy().into_owned();
         let before = removed.insert(path, (gone.bytes, gone.why));
-        assert!(before.is_none(), "told twice: {gone:?}");
+        assert!(before.is_none(), "reported twice: {gone:?}");
     };
     let done = wait(gc(data, options, &mut note));
     (removed, done.expect("collected"))

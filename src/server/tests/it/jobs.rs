@@ -181,7 +181,7 @@ fn a_job_survives_the_death_of_its_server_with_all_events() {
     assert_eq!(
         events.iter().filter(|(_, name, _)| name == "round_finished").count(),
         2 + 1,
-        "round 1 is told again"
+        "round 1 is reported again"
     );
     server
         .get(&format!("/v1/jobs/{job}/events"), &[("last-event-id", &ids.len().to_string())])
@@ -238,7 +238,7 @@ fn a_successful_job_can_be_retried_with_other_options() {
     retry(same).expect(409);
     let wrong = retry(json!({ "rounds": 99 })).expect(422).json();
     assert_eq!(wrong["pointer"], "/options/rounds");
-    let held_out = retry(json!({ "held_out": "nobody" })).expect(422).json();
+    let held_out = retry(json!({ "held_out": "no-such-view" })).expect(422).json();
     assert_eq!(held_out["pointer"], "/options/held_out");
     assert_eq!(server.show(&job)["options"], before["options"], "as it was");
     let last = server.events(&job, 0, usize::MAX).len() as i64;

@@ -61,7 +61,7 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
     assert_ne!(depth.header("etag"), png.header("etag"));
     assert_ne!(depth.body, png.body);
     render("view=001&show=height").expect(422);
-    render("view=nobody").expect(404);
+    render("view=no-such-view").expect(404);
     render("round=2").expect(404);
     render("width=99999").expect(422);
     render("azimuth=NaN").expect(422);

@@ -124,7 +124,7 @@ fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
     let mut types = Vec::new();
     while !["job.succeeded", "round.finished"].iter().all(|one| types.contains(&(*one).to_owned()))
     {
-        let request = requests.recv_timeout(PATIENCE).expect("told");
+        let request = requests.recv_timeout(PATIENCE).expect("reported");
         assert!(
             genuine::genuine(&secret, request.headers(), request.body.as_bytes(), now()),
             "{:?}",
@@ -159,7 +159,7 @@ fn a_failed_delivery_is_retried_even_after_a_restart() {
     let (id, _) = hook(&server, &url, None);
     let test = format!("/v1/webhooks/{id}/test");
     server.post_json(&test, &json!({}), &[]).expect(202);
-    let first = requests.recv_timeout(PATIENCE).expect("told");
+    let first = requests.recv_timeout(PATIENCE).expect("reported");
     let tried = || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["answer"].is_string().then_some(delivery)
@@ -168,14 +168,14 @@ fn a_failed_delivery_is_retried_even_after_a_restart() {
     assert!(delivery["delivered_at"].is_null(), "{delivery}");
     server.kill();
     server.restart_with(&[("FLED_FAKE_INNER", "1")]);
-    let second = requests.recv_timeout(PATIENCE).expect("told again");
+    let second = requests.recv_timeout(PATIENCE).expect("reported again");
     assert_eq!(first.headers["webhook-id"], second.headers["webhook-id"]);
     assert_eq!(first.body, second.body);
     // A manual redelivery is sent at once, whatever the outcome before.
     let name = first.headers["webhook-id"].clone();
     let path = format!("/v1/webhooks/{id}/deliveries/{name}/redeliver");
     server.post_json(&path, &json!({}), &[]).expect(202);
-    requests.recv_timeout(PATIENCE).expect("told at once");
+    requests.recv_timeout(PATIENCE).expect("reported at once");
     until("it arrived", || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["delivered_at"].is_string().then_some(())
@@ -188,7 +188,7 @@ fn a_gone_endpoint_gets_no_more_deliveries() {
     let (url, requests) = listener(&[410]);
     let (id, _) = hook(&server, &url, Some(&["job.queued"]));
     server.job("");
-    requests.recv_timeout(PATIENCE).expect("told");
+    requests.recv_timeout(PATIENCE).expect("reported");
     until("it is gone", || {
         let hooks = server.get("/v1/webhooks", &[]).expect(200).json();
         hooks["webhooks"][0]["gone_at"].is_string().then_some(())
@@ -242,7 +242,7 @@ fn a_redirect_is_a_failure_and_not_followed() {
     let (id, _) = hook(&server, &url, None);
     let test = format!("/v1/webhooks/{id}/test");
     server.post_json(&test, &json!({}), &[]).expect(202);
-    requests.recv_timeout(PATIENCE).expect("told");
+    requests.recv_timeout(PATIENCE).expect("reported");
     let delivery = until("the attempt is noted", || {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["answer"].is_string().then_some(delivery)
@@ -263,7 +263,7 @@ fn a_silent_endpoint_does_not_delay_other_webhooks() {
     let begun = Instant::now();
     for _ in 0..3 {
         server.job("");
-        requests.recv_timeout(PATIENCE).expect("told");
+        requests.recv_timeout(PATIENCE).expect("reported");
     }
     assert!(begun.elapsed() < Duration::from_secs(14), "{:?}", begun.elapsed());
     assert_eq!(deliveries(&server, &slow).len(), 3);
@@ -285,8 +285,8 @@ fn a_webhook_without_a_token_ends_with_the_first_token() {
     let capture = server.upload("/v1/captures", &photographs(4), &shown).expect(201).json();
     let body = json!({ "capture_id": capture["id"], "preset": "preview" });
     server.post_json("/v1/jobs", &body, &shown).expect(202);
-    others.recv_timeout(PATIENCE).expect("told");
-    assert!(requests.try_recv().is_err(), "the older one is told nothing");
+    others.recv_timeout(PATIENCE).expect("reported");
+    assert!(requests.try_recv().is_err(), "the older one gets nothing");
     let path = format!("/v1/webhooks/{id}/deliveries");
     let list = server.get(&path, &shown).expect(200).json();
     assert_eq!(list["deliveries"], json!([]));
@@ -318,7 +318,7 @@ fn a_webhook_is_notified_only_of_its_owners_jobs() {
         let body = json!({ "capture_id": capture["id"], "preset": "preview" });
         server.post_json("/v1/jobs", &body, &who).expect(202);
     }
-    let request = requests.recv_timeout(PATIENCE).expect("told");
+    let request = requests.recv_timeout(PATIENCE).expect("reported");
     let listed = server.get("/v1/jobs", &anns).expect(200).json();
     assert_eq!(request.json()["data"]["job_id"], listed["jobs"][0]["id"]);
     let deliveries = server.get(&path, &anns).expect(200).json();

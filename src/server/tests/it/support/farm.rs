@@ -156,7 +156,7 @@ fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Mac
         assert!(begun.elapsed() < PATIENCE, "{name} does not start");
         sleep(Duration::from_millis(10));
     }
-    let address = std::fs::read_to_string(&address_file).expect("told");
+    let address = std::fs::read_to_string(&address_file).expect("reported");
     (Machine { folder, child }, format!("http://{address}"))
 }
 
