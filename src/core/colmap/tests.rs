@@ -292,7 +292,19 @@ fn the_unprocessed_photographs_come_last() {
     let body =
         r#"[ $command = mapper ] && case "$out" in *-G) model "$out/0" 10 10;; esac; exit 0"#;
     let scene = Scene::new(10, body);
-    assert_eq!(scene.poses().unwrap().strategy, Some('G'));
+    let mut tried = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::StrategyStarted { strategy, name } = event {
+            tried.push((*strategy, name.clone()));
+        }
+    };
+    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
+    assert_eq!(poses.strategy, Some('G'));
+    // The copies are no smaller than the photographs: there is no C.
+    let letters: Vec<char> = tried.iter().map(|(strategy, _)| *strategy).collect();
+    assert_eq!(letters, ['A', 'B', 'D', 'E', 'G']);
+    let names: std::collections::BTreeSet<_> = tried.iter().map(|(_, name)| name).collect();
+    assert_eq!(names.len(), tried.len(), "each has a name of its own: {names:?}");
     let level = |folder: &str| {
         let copy = scene.work_dir().join(folder).join("v00000.png");
         Image::load(&copy).unwrap().get(9, 9)[0]
