@@ -36,18 +36,22 @@ fn below_the_watermark_nothing_is_accepted_or_started() {
 
 #[test]
 fn a_zip_is_unpacked_only_if_its_content_fits() {
-    let server = Server::start();
-    let free = free_bytes(server.data.path());
-    drop(server);
-    // Space for the zip but not for its content, even if other tests write meanwhile.
-    let watermark = (free - (8 << 20)).to_string();
-    let server = Server::start_with(&[("FLED_FAKE_MIN_FREE", &watermark)]);
     let names: Vec<String> = (0..60).map(|i| format!("{i}.jpg")).collect();
     let files: Vec<(&str, Vec<u8>)> =
         names.iter().map(|name| (name.as_str(), vec![0; 1 << 20])).collect();
     let parts = [file("walk.zip", &deflated(&files))];
-    let refused = server.upload("/v1/captures?dry_run", &parts, &[]);
-    assert_eq!(refused.expect(507).json()["code"], "disk_full");
+    let is_refused = || {
+        let server = Server::start();
+        let free = free_bytes(server.data.path());
+        drop(server);
+        // Space for the zip but not for its content, even if other tests write meanwhile.
+        let watermark = (free - (8 << 20)).to_string();
+        let server = Server::start_with(&[("FLED_FAKE_MIN_FREE", &watermark)]);
+        let refused = server.upload("/v1/captures?dry_run", &parts, &[]);
+        refused.status == 507 && refused.json()["code"] == "disk_full"
+    };
+    // Others that remove files meanwhile may make room for the content.
+    assert!((0..4).any(|_| is_refused()));
 }
 
 /// Size of the server's own disk, in bytes.
