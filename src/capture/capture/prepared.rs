@@ -2,9 +2,9 @@
 //!
 //! A photograph is decoded once, when its capture is opened, and kept as linear light at no more
 //! than [`PREPARED_SIDE`] px. A file is two little-endian `u32` (width and height, px) and three
-//! planes of half floats, one for a mask: nothing to compress in noise, no encoder to wait for, and light below
-//! black or above white has a place. Half floats err by 2^-12 of a value, a tenth of a level of 8
-//! bits at most.
+//! planes of half floats, one for a mask: nothing to compress in noise, no encoder to wait for, and
+//! light below black or above white has a place. Half floats err by 2^-12 of a value, a tenth of a
+//! level of 8 bits at most.
 
 use std::fs;
 use std::io;

@@ -44,8 +44,8 @@ impl Workspace {
         &self.folder
     }
 
-    /// Removes the prepared images of the capture, some 17 MB a photograph, but not photographs taken
-    /// from a video: a later run prepares them again in seconds.
+    /// Removes the prepared images of the capture, some 17 MB a photograph, but not photographs
+    /// taken from a video: a later run prepares them again in seconds.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
