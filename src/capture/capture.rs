@@ -169,7 +169,7 @@ impl Capture {
         }
         preparation.begin()?;
         let prepared = source.layout(&preparation.unpacked()).and_then(|layout| {
-            let capture = Self::of(layout, &preparation, watch)?;
+            let capture = Self::of(&layout, &preparation, watch)?;
             preparation.keep(&contents, &capture)?;
             Ok(capture)
         });
@@ -182,12 +182,12 @@ impl Capture {
     }
 
     fn of(
-        layout: Layout,
+        layout: &Layout,
         preparation: &Preparation,
         watch: &Watch<'_>,
     ) -> Result<Self, CaptureError> {
         let fingerprint = layout.fingerprint()?;
-        let assessed = assess::assess(&layout, watch, Some(preparation))
+        let assessed = assess::assess(layout, watch, Some(preparation))
             .map_err(CaptureError::io(&preparation.folder))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
         let poses = placed(layout.poses.as_ref(), &photographs, &views);
@@ -273,7 +273,7 @@ impl Capture {
 
 /// A folder or a zip.
 enum Source<'a> {
-    Folder(Layout),
+    Folder(Box<Layout>),
     Zip(&'a Path),
 }
 
@@ -281,7 +281,8 @@ impl<'a> Source<'a> {
     fn of(path: &'a Path) -> Result<Self, CaptureError> {
         let metadata = path.metadata().map_err(CaptureError::io(path))?;
         if metadata.is_dir() {
-            return Layout::of(entries::of_folder(path)?).map(Self::Folder);
+            let layout = Layout::of(entries::of_folder(path)?)?;
+            return Ok(Self::Folder(Box::new(layout)));
         }
         if archive::is_zip(path).map_err(CaptureError::io(path))? {
             return Ok(Self::Zip(path));
@@ -309,7 +310,7 @@ impl<'a> Source<'a> {
     /// A zip is unpacked to this folder.
     fn layout(self, unpacked: &Path) -> Result<Layout, CaptureError> {
         match self {
-            Self::Folder(layout) => Ok(layout),
+            Self::Folder(layout) => Ok(*layout),
             Self::Zip(path) => Layout::of(archive::unpack(path, unpacked)?),
         }
     }

@@ -1,6 +1,6 @@
 //! Strategy F: all of them once more, on brightened and deblurred copies of the photographs.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use super::request::ask;
 use crate::camera::Camera;
@@ -43,7 +43,7 @@ pub fn poses(
     for (index, (view, image)) in views.iter().zip(&bright).enumerate() {
         context.cancel.check()?;
         let file = folder.join(format!("d{index:05}.half"));
-        copies.push(copy(context, tools.deblurrer, view, image, file)?);
+        copies.push(copy(context, tools.deblurrer, view, image, &file)?);
     }
     let seed = depends_on.first.options().seed;
     let outer = &mut *context.sink;
@@ -88,7 +88,7 @@ fn copy(
     network: &mut dyn Restorer,
     view: &PoseView,
     image: &Image,
-    file: PathBuf,
+    file: &Path,
 ) -> Result<PoseView, PipelineError> {
     let deblurred = network.restore(image, None)?;
     for warning in network.take_warnings() {
@@ -96,9 +96,8 @@ fn copy(
         context.sink.warn("poses", message);
     }
     let scale = image.width() as f64 / view.original.0 as f64;
-    let path = file.clone();
-    let prepared = PreparedImage::write(&deblurred.to_linear(), &file)
-        .map_err(|source| PipelineError::Io { path, source })?;
+    let prepared = PreparedImage::write(&deblurred.to_linear(), file)
+        .map_err(|source| PipelineError::Io { path: file.to_owned(), source })?;
     Ok(PoseView {
         name: view.name.clone(),
         path: view.path.clone(),
