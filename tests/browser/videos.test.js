@@ -97,21 +97,25 @@ test("a server that cannot make one says what to do", async () => {
   });
 });
 
+const EXPORTS = [["restored.zip", "PK"], ["colmap.zip", "PK"], ["transforms.json", "{"], ["cameras.inria.json", "["],
+  ["scene.ply", "ply\nformat"], ["scene.compressed.ply", "ply\nformat"], ["scene.glb", "glTF"], ["scene.usda", "#usda 1.0"],
+  ["scene.v3.spz", "\x1f\ufffd"], ["scene.spz", "NGSP"], ["scene.sog", "PK"]];
+
 both("exports for other programs are downloaded from the page", async (width) => {
   const id = await finished(`exported ${width}`);
-  await stand.visit("exports", `#/jobs/${id}`, async (page) => {
-    const section = await opened(page, "Export");
-    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "transforms.json": "{", "cameras.inria.json": "[",
-      "scene.ply": "ply\nformat", "scene.compressed.ply": "ply\nformat",
-      "scene.glb": "glTF", "scene.usda": "#usda 1.0", "scene.v3.spz": "\x1f\ufffd", "scene.spz": "NGSP",
-      "scene.sog": "PK" };
-    for (const [name, begin] of Object.entries(begins)) {
-      const link = section.getByRole("link", { name, exact: true });
-      const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);
-      assert.equal(download.suggestedFilename(), name);
-      const content = readFileSync(await download.path());
-      assert.equal(content.subarray(0, begin.length).toString(), begin);
-    }
-    await seen(section.locator("li"), /about \d+\.\d kB/);
-  }, width);
+  // Chromium ignores the eleventh download of a page.
+  for (const some of [EXPORTS.slice(0, 6), EXPORTS.slice(6)]) {
+    await stand.visit("exports", `#/jobs/${id}`, async (page) => {
+      const section = await opened(page, "Export");
+      assert.equal(await section.locator("a[download]").count(), EXPORTS.length);
+      for (const [name, begin] of some) {
+        const link = section.getByRole("link", { name, exact: true });
+        const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);
+        assert.equal(download.suggestedFilename(), name);
+        const content = readFileSync(await download.path());
+        assert.equal(content.subarray(0, begin.length).toString(), begin);
+      }
+      await seen(section.locator("li"), /about \d+\.\d kB/);
+    }, width);
+  }
 });
