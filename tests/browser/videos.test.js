@@ -103,7 +103,7 @@ const EXPORTS = [["restored.zip", "PK"], ["colmap.zip", "PK"], ["transforms.json
 
 both("exports for other programs are downloaded from the page", async (width) => {
   const id = await finished(`exported ${width}`);
-  // Chromium ignores the eleventh download of a page.
+  // Chromium ignores the eleventh download of a page (findings/chromium-eleventh-download.sh).
   for (const some of [EXPORTS.slice(0, 6), EXPORTS.slice(6)]) {
     await stand.visit("exports", `#/jobs/${id}`, async (page) => {
       const section = await opened(page, "Export");
