@@ -68,7 +68,7 @@ checks.negative_data_rejection.enabled = false
 
 """
 OF_JOB = [
-    "show_job", "rename_job", "cancel_job", "retry_job", "stream_events", "show_rounds", "show_log", "render_view",
+    "show_job", "change_job", "cancel_job", "retry_job", "stream_events", "show_rounds", "show_log", "render_view",
     "render_camera", "list_artifacts", "download_artifact",
 ]
 

@@ -62,13 +62,13 @@ pub struct CapturePoses {
     pub placement: Placement,
 }
 
-/// What a file of poses has for the photographs of its capture.
+/// The outcome of assigning a pose file to the photographs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Placement {
-    /// Those of its photographs.
+    /// Each photograph that the file covers has its pose.
     Placed(PlacedPoses),
-    /// None, since their file cannot be read or assigned.
+    /// The file cannot be read or assigned.
     Unusable {
         /// The file's name, for messages.
         file: String,
@@ -86,7 +86,7 @@ pub struct Capture {
     pub photographs: Vec<PhotoPath>,
     /// The outcome for each file that claims to be a photograph, accepted or not.
     pub assessments: Vec<Assessment>,
-    /// What the user should know about the capture as a whole.
+    /// Warnings about the capture as a whole.
     pub warnings: Vec<CaptureWarning>,
     /// Poses uploaded with it.
     pub poses: Option<CapturePoses>,
@@ -209,7 +209,7 @@ impl Capture {
     }
 
     /// As [`Capture::prepared`], for one that a user gives in place of photographs. Its fingerprint
-    /// is that of the manifest: what was kept of runs of the photographs themselves is not used.
+    /// is that of the manifest, so cached poses of the photographs themselves are not used.
     ///
     /// # Errors
     /// As [`Capture::prepared`].

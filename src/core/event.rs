@@ -85,7 +85,7 @@ pub enum Event {
     StrategyStarted {
         /// Its letter, as in `poses.json`.
         strategy: char,
-        /// What it does, for users.
+        /// Its description, for users.
         name: String,
     },
     /// Progress inside a stage.

@@ -98,7 +98,7 @@ impl Export {
                  COLMAP model for other trainers."
             }
             Self::Transforms => {
-                "The corrected cameras for nerfstudio, beside restored/ and scene.ply of the result."
+                "The corrected cameras for nerfstudio, beside the result's restored/ and scene.ply."
             }
             Self::InriaCameras => {
                 "The corrected cameras for viewers that expect Inria's cameras.json beside \

@@ -196,9 +196,8 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
 /// the prepared capture, which another machine prepares again in seconds.
 pub fn is_kept(path: &str) -> bool {
     // Builds before CODE_VERSION 10 kept it in `capture`.
-    let is_prepared = ["prepared", "capture"]
-        .iter()
-        .any(|folder| path.starts_with(&format!("output/work/{folder}/")));
+    let prepared = ["output/work/prepared/", "output/work/capture/"];
+    let is_prepared = prepared.iter().any(|folder| path.starts_with(folder));
     path == "log.txt" || path.starts_with("output/") && !is_prepared
 }
 
@@ -263,4 +262,21 @@ fn look_below(root: &Path, dir: &Path, look: &mut Look) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use fled_core::run_folder::RunFolder;
+
+    use super::is_kept;
+
+    #[test]
+    fn a_prepared_capture_is_not_shared_and_a_result_is() {
+        let run = RunFolder::new("output");
+        let prepared = run.work().prepared().join("view-00000.half");
+        assert!(!is_kept(prepared.to_str().expect("UTF-8")));
+        for path in [run.scene(), run.work().checkpoint(), run.work().found_poses()] {
+            assert!(is_kept(path.to_str().expect("UTF-8")), "{path:?}");
+        }
+    }
 }

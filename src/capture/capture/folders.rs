@@ -20,7 +20,7 @@ pub(super) const HOMES: [&str; 11] = [
 /// Mask folders.
 pub(super) const MASKS: [&str; 2] = ["masks", "mask"];
 
-/// What a run writes at the top of its folder, except ground truth: captures have that, too.
+/// The top-level names in a run's folder, without ground truth, which captures have, too.
 const OF_A_RUN: [&str; 12] = [
     "scene.ply",
     "cameras.json",

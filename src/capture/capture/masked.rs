@@ -69,7 +69,7 @@ impl Masked {
     }
 }
 
-/// What the masks of a photograph leave of it.
+/// The pixels of a photograph that its masks leave visible.
 struct Counted {
     /// Number of masks.
     count: usize,

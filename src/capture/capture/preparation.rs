@@ -45,7 +45,7 @@ pub(super) enum Kind {
     Mask,
 }
 
-/// What the manifest holds: a prepared capture, and what it was made of.
+/// The contents of the manifest.
 #[derive(Serialize, Deserialize)]
 struct Manifest<C> {
     #[serde(flatten)]
@@ -53,7 +53,7 @@ struct Manifest<C> {
     capture: C,
 }
 
-/// What a prepared capture was made of.
+/// The build and the input that a prepared capture came from.
 #[derive(Serialize, Deserialize, PartialEq, Eq)]
 struct Stamp {
     fled_capture: u32,
@@ -161,7 +161,7 @@ impl Preparation {
 
     /// Removes what was unpacked.
     pub(super) fn clear_unpacked(&self) {
-        // What is left is removed when the next preparation begins.
+        // The next preparation removes leftovers.
         let _ = self.remove(|name| name == UNPACKED);
     }
 
@@ -231,7 +231,7 @@ fn is_ours(name: &str) -> bool {
     is_remade(name) || name == LOCK || name.starts_with(FRAMES)
 }
 
-/// Whether a preparation makes this anew.
+/// Whether every preparation replaces this file or folder.
 fn is_remade(name: &str) -> bool {
     let is_manifest = name == MANIFEST || (name.starts_with('.') && name.contains(MANIFEST));
     name == UNPACKED || name.ends_with(IMAGE) || is_manifest

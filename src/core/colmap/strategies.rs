@@ -26,14 +26,14 @@ impl Default for Acceptance {
 /// The strategies with learned matches have this letter and those after it.
 pub(super) const FIRST_LEARNED: char = 'L';
 
-/// What the strategies with learned matches do, for users.
+/// The description of the strategies with learned matches, for users.
 pub(super) const LEARNED: &str = "features found and matched by networks";
 
 /// Settings of one strategy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Strategy {
     pub(super) letter: char,
-    /// What it does, for users.
+    /// Its description, for users.
     pub(super) name: &'static str,
     /// The strategy whose features and matches are mapped.
     pub(super) database: char,

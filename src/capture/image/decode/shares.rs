@@ -45,7 +45,6 @@ impl Shares {
 /// The non-black pixels of a mask, rotated by `orientation` rather than by its own EXIF. In lossy
 /// formats, where black is noisy, pixels of at least half of white. If the colour is uniform,
 /// transparent pixels are black.
-/// colour is the same everywhere, transparent pixels are black.
 ///
 /// # Errors
 /// [`ImageError`].
