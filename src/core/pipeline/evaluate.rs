@@ -5,7 +5,6 @@ mod images;
 mod records;
 mod score;
 
-use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
@@ -20,7 +19,7 @@ use super::reconstruct::TrainedScene;
 use super::report;
 use super::round::Round;
 use super::tone::Tone;
-use super::views::{View, masks};
+use super::views::View;
 use super::workspace::Workspace;
 use crate::camera::normalisation::Normalisation;
 use crate::event::Stage;
@@ -30,7 +29,7 @@ use crate::metrics::{self, RoundMetrics};
 use images::TargetImages;
 
 pub use images::RoundImages;
-pub use score::likenesses;
+pub use score::Likeness;
 
 /// Loss of score beyond which a round counts as worse than the previous one, dB.
 const WORSE_BY: f64 = 0.05;
@@ -69,19 +68,12 @@ pub fn evaluate(
     let number = finished.round.number;
     let metrics = context.stage(Stage::Evaluate, number, |context| {
         let tone = finished.next.map(|next| &next.to_target);
-        let at_target = |images| match tone {
-            Some(tone) => Cow::Owned(tone.apply(images)),
-            None => Cow::Borrowed(images),
-        };
-        let target = TargetImages {
-            enhanced: &brightening.target,
-            deblurred: at_target(finished.images.deblurred),
-            renders: at_target(finished.images.renders),
-        };
+        let target =
+            TargetImages { enhanced: &brightening.target, images: finished.images, tone };
         let metrics = measure(finished, &target, brightening, before.last());
         let rounds = [before, std::slice::from_ref(&metrics)].concat();
         if report::delivered_round(&rounds, finished.deliver) == number {
-            restored(context.workspace, finished.views, &target.renders)?;
+            restored(context.workspace, finished.views, &target)?;
         }
         brighten_scene(context.workspace, tone, finished)?;
         Ok(metrics)
@@ -111,10 +103,14 @@ fn brighten_scene(
 }
 
 /// Writes the round's renders at the views' cameras and the target brightness.
-fn restored(workspace: &Workspace, views: &[View], renders: &[Image]) -> Result<(), PipelineError> {
-    views.iter().zip(renders).try_for_each(|(view, image)| {
+fn restored(
+    workspace: &Workspace,
+    views: &[View],
+    target: &TargetImages<'_>,
+) -> Result<(), PipelineError> {
+    views.iter().enumerate().try_for_each(|(index, view)| {
         let path = workspace.folder().restored_view(&view.name);
-        pictures::write(workspace, &path, image, EncodeFormat::Png)
+        pictures::write(workspace, &path, &target.render(index), EncodeFormat::Png)
     })
 }
 
@@ -128,9 +124,13 @@ fn measure(
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
     let response = &brightening.last().response;
-    let likenesses = likenesses(&target.renders, target.enhanced, &masks(views), response);
+    let likeness = |index: usize| {
+        let (render, mask) = (target.render(index), views[index].mask.as_ref());
+        Likeness::of(&render, &target.enhanced[index], mask, response)
+    };
+    let likenesses: Vec<Likeness> = (0..views.len()).into_par_iter().map(likeness).collect();
     let score = score::score(views, &likenesses);
-    let comparisons = records::comparisons(views, images, target);
+    let comparisons = records::comparisons(views, target);
     let before = previous.and_then(|previous| previous.score);
     let matched = next.map_or(&[][..], |next| &next.matched);
     let training = &scene.training;

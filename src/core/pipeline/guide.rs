@@ -11,6 +11,7 @@
 use rayon::prelude::*;
 
 use super::config::Guide;
+use super::match_brightness::Next;
 use crate::image::{Image, Srgb};
 
 /// Side of the cells in which view and render are compared, px; above the shake, below the objects.
@@ -26,16 +27,20 @@ const DISAGREEMENT: f32 = 0.04;
 /// alone instead of 0.3 below it; docs/decisions/guide.md).
 const SHARE: f32 = 0.7;
 
-/// The guides of `views`, given their renders at the views' brightness.
-pub fn guides(how: Guide, views: &[Image], renders: Vec<Image>) -> Vec<Image> {
-    match how {
-        Guide::Raw => renders,
-        Guide::Render | Guide::None => trusted(views, &renders),
-    }
+/// The guides of a round, from the renders R of the round before it.
+pub fn guides(how: Guide, next: &Next, renders: Vec<Image>) -> Vec<Image> {
+    let of = |(index, render): (usize, Image)| {
+        of_view(how, &next.enhanced[index], next.to_next.apply_to(index, &render))
+    };
+    renders.into_par_iter().enumerate().map(of).collect()
 }
 
-fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
-    views.par_iter().zip(renders).map(|(view, render)| guide(view, render, SHARE)).collect()
+/// The guide of a view, given its render at the view's brightness.
+fn of_view(how: Guide, view: &Image, render: Image) -> Image {
+    match how {
+        Guide::Raw => render,
+        Guide::Render | Guide::None => guide(view, &render, SHARE),
+    }
 }
 
 fn guide(view: &Image, render: &Image, share: f32) -> Image {
@@ -73,7 +78,7 @@ mod tests {
     fn a_raw_guide_is_the_render_itself() {
         let view = Image::from_planar(8, 8, vec![0.5; 3 * 64]);
         let render = view.map(|v| v + 0.25);
-        let of = |how| guides(how, std::slice::from_ref(&view), vec![render.clone()]).remove(0);
+        let of = |how| of_view(how, &view, render.clone());
         assert_eq!(of(Guide::Raw), render);
         assert_ne!(of(Guide::Render), render);
     }
@@ -91,7 +96,7 @@ mod tests {
                 }
             }
         }
-        let guide = trusted(std::slice::from_ref(&view), std::slice::from_ref(&render)).remove(0);
+        let guide = super::guide(&view, &render, SHARE);
         let wrong = guide.get(4, 16)[2];
         assert!((wrong - 0.5).abs() < 0.01, "the wrong half must be the view: {wrong}");
         // A stripe is 0.01 above its cell, which is 0.02 above the view's: its weight is exp(-1/4).
@@ -129,7 +134,7 @@ mod tests {
             let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
             assert!(apart < 1e-4, "{found:?} at ({x}, {y}), not {expected:?}");
         }
-        let fed = trusted(&[waves(0.1, 0.0)], &[waves(0.12, 0.4)]).remove(0).get(3, 1);
+        let fed = super::guide(&waves(0.1, 0.0), &waves(0.12, 0.4), SHARE).get(3, 1);
         let apart = fed
             .iter()
             .zip([0.15408, 0.05293, 0.00392])
@@ -139,7 +144,7 @@ mod tests {
         assert!(guide.data().iter().all(|value| (0.0..=1.0).contains(value)));
         assert!(guide.data().contains(&0.0), "cut at black");
         let tiny = Image::from_planar(2, 1, vec![0.5; 6]);
-        assert_eq!(trusted(std::slice::from_ref(&tiny), std::slice::from_ref(&tiny)), [tiny]);
+        assert_eq!(super::guide(&tiny, &tiny, SHARE), tiny);
     }
 
     #[test]

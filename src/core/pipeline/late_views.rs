@@ -10,14 +10,13 @@ mod place;
 use super::context::Context;
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
-use super::evaluate::likenesses;
+use super::evaluate::Likeness;
 use super::poses::publish;
 use super::tools::Tools;
 use super::views::{self, MIN_VIEWS, View};
 use crate::camera::Split;
 use crate::capture::{Capture, CaptureView};
 use crate::event::Stage;
-use crate::image::Image;
 use crate::metrics::{RoundMetrics, ViewScore};
 use crate::poses::{PoseStatus, PosedView, Poses};
 use crate::render::Renderer;
@@ -135,11 +134,10 @@ fn find(
         .iter()
         .map(|placed| renderer.render_scene(&uploaded, &placed.camera))
         .collect::<Result<Vec<_>, _>>()?;
-    let images: Vec<Image> = placed.iter().map(|placed| placed.image.clone()).collect();
-    let masks: Vec<_> = placed.iter().map(|placed| placed.mask.as_ref()).collect();
-    let likenesses = likenesses(&renders, &images, &masks, &finished.round.response);
+    let response = &finished.round.response;
     let mut found = Vec::new();
-    for (placed, likeness) in placed.into_iter().zip(likenesses) {
+    for (placed, render) in placed.into_iter().zip(renders) {
+        let likeness = Likeness::of(&render, &placed.image, placed.mask.as_ref(), response);
         let joins = likeness.fit >= judgement.least;
         context.sink.log(format!(
             "late view {}: {} of {} points that renders show agree, {:.1} px off, fit {:.2}, {}",

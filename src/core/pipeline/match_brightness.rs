@@ -4,7 +4,6 @@ use super::context::Context;
 use super::dependencies::Dependencies;
 use super::enhance::{Brightened, Brightening};
 use super::error::PipelineError;
-use super::guide;
 use super::round::Round;
 use super::tone::{self, Tone};
 use super::views::View;
@@ -17,8 +16,6 @@ use crate::image::Image;
 pub struct Next {
     /// H_{i+1}.
     pub enhanced: Brightened,
-    /// HR, or H_{i+1} with the detail of HR.
-    pub guides: Vec<Image>,
     /// From this round's brightness to the next one's.
     pub to_next: Tone,
     /// From this round's brightness to the target's.
@@ -54,13 +51,6 @@ pub fn match_brightness(
             None => to_next.clone(),
             Some(_) => Tone::fit(scope, &renders, &towards(&brightening.target)),
         };
-        let clean = to_next.apply(renders.iter().copied());
-        Ok(Some(Next {
-            guides: guide::guides(options.guide, &enhanced, clean),
-            enhanced,
-            to_next,
-            to_target,
-            matched,
-        }))
+        Ok(Some(Next { enhanced, to_next, to_target, matched }))
     })
 }

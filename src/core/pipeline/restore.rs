@@ -1,11 +1,13 @@
 //! The stage of a network: restores every view, keeps each result and reports progress.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
 use super::views::View;
+use super::workspace::Workspace;
 use crate::deblur::{DeblurError, Restorer};
 use crate::event::Stage;
 use crate::image::Image;
@@ -39,11 +41,8 @@ impl Restoration<'_> {
         context: &mut Context<'_>,
         depends_on: &Dependencies,
     ) -> Result<Vec<Image>, PipelineError> {
-        let files = self.files(context);
-        let load = |_: &_| -> Option<Vec<Image>> {
-            let kept = files.iter().zip(self.views);
-            kept.map(|(file, view)| read_planar(file, view)).collect()
-        };
+        let files = files(context.workspace, self.kept, self.round, self.views);
+        let load = |workspace: &_| kept(workspace, self.kept, self.round, self.views).ok();
         let make = |context: &mut Context<'_>| {
             let mut restored = Vec::with_capacity(files.len());
             for (index, file) in files.iter().enumerate() {
@@ -75,18 +74,37 @@ impl Restoration<'_> {
         }
         Ok(image)
     }
-
-    fn files(&self, context: &Context<'_>) -> Vec<PathBuf> {
-        let work = context.workspace.folder().work();
-        let of = |view: &View| work.kept(self.kept, self.round, &view.name);
-        self.views.iter().map(of).collect()
-    }
 }
 
-fn read_planar(path: &Path, view: &View) -> Option<Image> {
-    let bytes = std::fs::read(path).ok()?;
+/// The results of a stage that has run.
+///
+/// # Errors
+/// [`PipelineError::Io`] if a file is missing, cannot be read or is not whole.
+pub fn kept(
+    workspace: &Workspace,
+    kind: KeptImages,
+    round: u32,
+    views: &[View],
+) -> Result<Vec<Image>, PipelineError> {
+    let files = files(workspace, kind, round, views);
+    let read = |(file, view): (&PathBuf, &View)| {
+        read_planar(file, view).map_err(|error| PipelineError::io(file, error))
+    };
+    files.iter().zip(views).map(read).collect()
+}
+
+fn files(workspace: &Workspace, kind: KeptImages, round: u32, views: &[View]) -> Vec<PathBuf> {
+    let work = workspace.folder().work();
+    views.iter().map(|view| work.kept(kind, round, &view.name)).collect()
+}
+
+fn read_planar(path: &Path, view: &View) -> io::Result<Image> {
+    let bytes = std::fs::read(path)?;
     let (width, height) = (view.dark.width(), view.dark.height());
+    if bytes.len() != 12 * width * height {
+        let message = format!("{} bytes are not {width} x {height} pixels", bytes.len());
+        return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+    }
     let values: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
-    let is_whole = bytes.len() == 12 * width * height;
-    is_whole.then(|| Image::from_planar(width, height, values))
+    Ok(Image::from_planar(width, height, values))
 }

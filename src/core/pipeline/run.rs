@@ -1,6 +1,6 @@
 //! Algorithm 1.
 
-use super::config::Options;
+use super::config::{Guide, Options};
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
@@ -10,6 +10,7 @@ use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
 use super::exposures::{self, Exposures};
+use super::guide;
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::{By, History, Plan, ProgressReporter};
@@ -17,6 +18,7 @@ use super::poses::{poses, publish};
 use super::reconstruct::{Predecessor, TrainedScene, TrainingData, reconstruct};
 use super::render::render;
 use super::report;
+use super::restore::kept;
 use super::shaken::{self, Shaken};
 use super::tools::Tools;
 use super::training_images::{self, trained_on, training_images};
@@ -29,6 +31,7 @@ use crate::image::Image;
 use crate::metrics::Report;
 use crate::poses::matching::Matching;
 use crate::poses::{PosedView, Poses};
+use crate::run_folder::KeptImages;
 
 /// A finished run.
 #[derive(Clone, Debug)]
@@ -39,8 +42,10 @@ pub struct Outcome {
 
 /// The results of a round that the next one uses.
 struct RoundOutput {
-    /// P_R, H_{i+1} and HR.
+    /// P_R and H_{i+1}.
     next: Next,
+    /// R_i, of which HR is made.
+    renders: Vec<Image>,
     /// V_i.
     scene: TrainedScene,
     /// The dependencies of the round's results.
@@ -48,13 +53,11 @@ struct RoundOutput {
 }
 
 impl RoundOutput {
-    fn new(next: Next, scene: TrainedScene, depends_on: RoundDependencies) -> Self {
-        Self { next, scene, depends_on }
-    }
-
-    /// HR, which only deblurring reads: a picture a view that training would keep in memory.
-    fn take_guides(&mut self) -> Vec<Image> {
-        std::mem::take(&mut self.next.guides)
+    /// HR, if the round is guided. Only deblurring reads it or the renders, which are a picture a
+    /// view that training would keep in memory.
+    fn take_guides(&mut self, how: Guide, is_guided: bool) -> Option<Vec<Image>> {
+        let renders = std::mem::take(&mut self.renders);
+        is_guided.then(|| guide::guides(how, &self.next, renders))
     }
 
     fn predecessor(&self) -> Predecessor<'_> {
@@ -175,12 +178,13 @@ fn round(
     let round = &brightening.rounds[input.index];
     let on = state.depends_on.round(round.number, before.as_ref().map(|before| &before.depends_on));
     let brightened = before.as_ref().map(|before| before.next.enhanced.clone());
-    let guides = before.as_mut().map(RoundOutput::take_guides);
+    let guides =
+        before.as_mut().and_then(|before| before.take_guides(options.guide, on.is_guided));
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
         views,
         enhanced: &enhanced,
-        guides: guides.as_deref().filter(|_| on.is_guided), // HR
+        guides: guides.as_deref(), // HR
     };
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
     drop(guides);
@@ -189,6 +193,7 @@ fn round(
     let trained = trained_on(options, round, views, &with_kernel, [&enhanced, &deblurred]);
     training_images::report(context, round.number, views, &with_kernel, &trained);
     let images = training_images(&trained, &enhanced, &deblurred, &round.response);
+    drop(deblurred); // Training has its own: a picture a view that it would keep in memory.
     let data = TrainingData {
         round,
         views,
@@ -203,6 +208,7 @@ fn round(
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i
+    let deblurred = kept(context.workspace, KeptImages::Deblurred, round.number, views)?;
     let next = if effective.is_single {
         None
     } else {
@@ -236,7 +242,7 @@ fn round(
     let Some((poses, mut views)) =
         join(context, options, tools, &finished, &on, &state.depends_on)?
     else {
-        return Ok(next.map(|next| RoundOutput::new(next, scene, on)));
+        return Ok(next.map(|next| RoundOutput { next, renders, scene, depends_on: on }));
     };
     report::place(report, &poses);
     let exposures = &mut state.exposures;
@@ -309,7 +315,7 @@ impl RoundState {
         let round = &brightening.rounds[index];
         let renders = render(context, tools.device, round, views, &scene.gaussians)?;
         let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?;
-        Ok(next.map(|next| RoundOutput::new(next, scene, on)))
+        Ok(next.map(|next| RoundOutput { next, renders, scene, depends_on: on }))
     }
 }
 

@@ -43,10 +43,15 @@ impl Tone {
         &self.scene
     }
 
+    /// Applies its curve to the image of a view.
+    pub fn apply_to(&self, view: usize, image: &Image) -> Image {
+        self.curve(view).apply(image)
+    }
+
     /// Applies its curve to every image.
     pub fn apply<'a>(&self, images: impl IntoIterator<Item = &'a Image>) -> Vec<Image> {
         let images = images.into_iter().enumerate();
-        images.map(|(view, image)| self.curve(view).apply(image)).collect()
+        images.map(|(view, image)| self.apply_to(view, image)).collect()
     }
 }
 

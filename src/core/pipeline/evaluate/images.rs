@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 
 use crate::image::Image;
+use crate::pipeline::tone::Tone;
 
 /// The images of one round, one per view, in the order of the views.
 #[derive(Clone, Copy, Debug)]
@@ -21,13 +22,33 @@ impl<'a> RoundImages<'a> {
     }
 }
 
-/// The images of one round at the target brightness.
-#[derive(Clone, Debug)]
+/// The images of one round at the target brightness, each made when it is asked for: all of them
+/// at once are two pictures a view.
+#[derive(Clone, Copy, Debug)]
 pub struct TargetImages<'a> {
     /// H_N.
     pub enhanced: &'a [Image],
-    /// D_i mapped to the target brightness.
-    pub deblurred: Cow<'a, [Image]>,
-    /// R_i mapped to the target brightness.
-    pub renders: Cow<'a, [Image]>,
+    /// Those of the round.
+    pub images: RoundImages<'a>,
+    /// From the round's brightness to the target's; `None` where they are the same.
+    pub tone: Option<&'a Tone>,
+}
+
+impl<'a> TargetImages<'a> {
+    /// D_i of a view.
+    pub fn deblurred(&self, view: usize) -> Cow<'a, Image> {
+        self.at_target(view, &self.images.deblurred[view])
+    }
+
+    /// R_i of a view.
+    pub fn render(&self, view: usize) -> Cow<'a, Image> {
+        self.at_target(view, &self.images.renders[view])
+    }
+
+    fn at_target(&self, view: usize, image: &'a Image) -> Cow<'a, Image> {
+        match self.tone {
+            Some(tone) => Cow::Owned(tone.apply_to(view, image)),
+            None => Cow::Borrowed(image),
+        }
+    }
 }

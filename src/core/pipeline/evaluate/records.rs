@@ -1,8 +1,10 @@
 //! The scores of a round against each of its references.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
-use super::images::{RoundImages, TargetImages};
+use super::images::TargetImages;
 use crate::camera::Split;
 use crate::image::Image;
 use crate::metrics::{Brightness, ImageKind, Record, Reference, Scores};
@@ -20,34 +22,37 @@ pub struct Comparison {
 
 /// Every comparison of a round: with ground truth where the capture has it, and of the renders with
 /// their training images.
-pub fn comparisons(
-    views: &[View],
-    images: &RoundImages<'_>,
-    target: &TargetImages<'_>,
-) -> Vec<Comparison> {
+pub fn comparisons(views: &[View], target: &TargetImages<'_>) -> Vec<Comparison> {
     use Brightness::{Final, Native};
-    let compare = |image, reference, brightness, set: &[Image], against: &References<'_>| {
+    let compare = |image, reference, brightness, of: &Images<'_>, against: &References<'_>| {
         let scores = (0..views.len()).into_par_iter().map(|view| {
             let reference = against(view)?;
-            Scores::of(&set[view], reference, views[view].mask.as_ref())
+            Scores::of(&of(view), reference, views[view].mask.as_ref())
         });
         Comparison { image, reference, brightness, scores: scores.collect() }
     };
+    let images = &target.images;
     let truth: &References<'_> = &|view| views[view].gt.as_ref();
     let deblurred: &References<'_> = &|view| Some(&images.deblurred[view]);
     let enhanced: &References<'_> = &|view| Some(&images.enhanced[view]);
     let bright: &References<'_> = &|view| Some(&target.enhanced[view]);
+    let native: &Images<'_> = &|view| Cow::Borrowed(&images.renders[view]);
+    let render_at_target: &Images<'_> = &|view| target.render(view);
+    let deblurred_at_target: &Images<'_> = &|view| target.deblurred(view);
+    let enhanced_at_target: &Images<'_> = &|view| Cow::Borrowed(&target.enhanced[view]);
     let (gt, render) = (Reference::Gt, ImageKind::Render);
     vec![
-        compare(render, gt, Final, &target.renders, truth),
-        compare(ImageKind::Deblurred, gt, Final, &target.deblurred, truth),
-        compare(ImageKind::Enhanced, gt, Final, target.enhanced, truth),
-        compare(render, Reference::Deblurred, Native, images.renders, deblurred),
-        compare(render, Reference::Enhanced, Native, images.renders, enhanced),
-        compare(render, Reference::Enhanced, Final, &target.renders, bright),
+        compare(render, gt, Final, render_at_target, truth),
+        compare(ImageKind::Deblurred, gt, Final, deblurred_at_target, truth),
+        compare(ImageKind::Enhanced, gt, Final, enhanced_at_target, truth),
+        compare(render, Reference::Deblurred, Native, native, deblurred),
+        compare(render, Reference::Enhanced, Native, native, enhanced),
+        compare(render, Reference::Enhanced, Final, render_at_target, bright),
     ]
 }
 
+/// Returns the image of a view.
+type Images<'a> = dyn Fn(usize) -> Cow<'a, Image> + Sync + 'a;
 /// Returns the reference of a view.
 type References<'a> = dyn Fn(usize) -> Option<&'a Image> + Sync + 'a;
 

@@ -2,8 +2,6 @@
 
 use std::borrow::Cow;
 
-use rayon::prelude::*;
-
 use crate::camera::Split;
 use crate::image::Image;
 use crate::mask::{Mask, counted};
@@ -27,30 +25,24 @@ pub struct Likeness {
     pub fit: f64,
 }
 
-/// The likeness of every render. Each is first shaken as its view is, or the sharper of two scenes
-/// would look like the worse one. This also applies to a scene trained without kernels, whose views
-/// are no less shaken.
-pub fn likenesses(
-    renders: &[Image],
-    target: &[Image],
-    masks: &[Option<&Mask>],
-    response: &Response,
-) -> Vec<Likeness> {
-    let of = |((render, view), mask): ((&Image, &Image), &Option<&Mask>)| {
-        let kernel = shake::estimate(render, view, response, *mask);
+impl Likeness {
+    /// That of a render and its view. The render is first shaken as its view is, or the sharper of
+    /// two scenes would look like the worse one. This also applies to a scene trained without
+    /// kernels, whose views are no less shaken.
+    pub fn of(render: &Image, view: &Image, mask: Option<&Mask>, response: &Response) -> Self {
+        let kernel = shake::estimate(render, view, response, mask);
         let shaken = shaken_image(render, &kernel, response);
-        let [kept, reference] = [&shaken, view].map(|image| counted(image, *mask));
+        let [kept, reference] = [&shaken, view].map(|image| counted(image, mask));
         // Structures that are the same add no difference.
         let filled =
             mask.map_or(Cow::Borrowed(view), |mask| Cow::Owned(mask.composite(view, &shaken)));
-        Likeness {
+        Self {
             shake_px: kernel.spread(),
             is_shaken: kernel.significance(view.width().max(view.height())) >= 1.0,
             psnr_cc_db: metrics::psnr_colour_corrected(&kept, &reference),
             fit: metrics::correlation(&shaken, &filled),
         }
-    };
-    renders.par_iter().zip(target).zip(masks).map(of).collect()
+    }
 }
 
 /// Mean colour-fitted PSNR of the likenesses, dB, over the held-out views if there are any, and
@@ -121,11 +113,10 @@ mod tests {
             split: Split::HeldOut,
             is_late: false,
         };
-        let target = [blurred(&sharp(), 1)];
+        let target = blurred(&sharp(), 1);
         let of = |render: &Image| {
-            let renders = std::slice::from_ref(render);
-            let likenesses = likenesses(renders, &target, &[None], &Response::srgb());
-            score(std::slice::from_ref(&view), &likenesses)
+            let likeness = Likeness::of(render, &target, None, &Response::srgb());
+            score(std::slice::from_ref(&view), &[likeness])
         };
         let (sharp, soft) = (sharp(), blurred(&sharp(), 2));
         assert!(of(&sharp) > of(&soft) + 1.0);
