@@ -17,9 +17,10 @@ use std::str::FromStr;
 use archive::{Archive, Picture, pictures};
 use serde_json::Value;
 
-use crate::camera::NamedCamera;
+use crate::camera::{Intrinsics, NamedCamera};
 use crate::gaussians::ply::{self, Extent, Scene};
 use crate::gaussians::{Y00, compressed, glb, sog, spz, usd};
+use crate::image::Image;
 use crate::poses::model::SparseModel;
 use crate::run_folder::RunFolder;
 
@@ -29,11 +30,16 @@ pub use trim::{Crop, MOST_SH_DEGREE, Middle, Trim};
 /// Approximate compressed size of a camera or a point in a COLMAP model, bytes.
 const ROW: u64 = 40;
 
+/// Bytes of a pixel of three channels of 16 bits.
+const PIXEL: u64 = 6;
+
 /// A format in which a result is exported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Export {
     /// The restored views as a zip.
     Restored,
+    /// The restored views as TIFFs of 16 bits in linear light, as a zip.
+    Linear,
     /// The restored views and a COLMAP model of the corrected cameras as a zip.
     Colmap,
     /// The corrected cameras as nerfstudio's `transforms.json`.
@@ -58,8 +64,9 @@ pub enum Export {
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Restored,
+        Self::Linear,
         Self::Colmap,
         Self::Transforms,
         Self::InriaCameras,
@@ -76,6 +83,7 @@ impl Export {
     pub fn name(self) -> &'static str {
         match self {
             Self::Restored => "restored.zip",
+            Self::Linear => "linear.zip",
             Self::Colmap => "colmap.zip",
             Self::Transforms => "transforms.json",
             Self::InriaCameras => "cameras.inria.json",
@@ -93,6 +101,9 @@ impl Export {
     pub fn about(self) -> &'static str {
         match self {
             Self::Restored => "Every restored view: the scene rendered from the view's camera.",
+            Self::Linear => {
+                "The restored views as 16-bit TIFFs in linear light, for colour grading."
+            }
             Self::Colmap => {
                 "The restored views with their corrected cameras and points of the scene, as a \
                  COLMAP model for other trainers."
@@ -147,12 +158,18 @@ impl Export {
         let path = run.scene_of(round);
         let scene = |bytes_of, write_to| Content::scene(&path, trim, bytes_of, write_to);
         Ok(Prepared(match self {
-            Self::Restored | Self::Colmap | Self::Transforms | Self::InriaCameras
+            Self::Restored
+            | Self::Linear
+            | Self::Colmap
+            | Self::Transforms
+            | Self::InriaCameras
                 if !trim.is_nothing() =>
             {
                 return Err(ExportError::NotTrimmed(self.name()));
             }
+            Self::Linear if round.is_some() => return Err(ExportError::OnlyDelivered(self.name())),
             Self::Restored => Content::Pictures(pictures(run, round)?),
+            Self::Linear => Content::Linear(cameras::views(run, None)?),
             Self::Colmap => {
                 let views = cameras::views(run, round)?;
                 let gaussians = ply::read_extent(&path)?.gaussians;
@@ -187,6 +204,7 @@ impl FromStr for Export {
 #[derive(Debug)]
 enum Content {
     Pictures(Vec<Picture>),
+    Linear(Vec<(NamedCamera, Picture)>),
     Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
     Scene { scene: Source, bytes: u64, write_to: WriteScene },
     Copy { path: PathBuf, bytes: u64 },
@@ -251,6 +269,13 @@ impl Prepared {
     pub fn bytes(&self) -> u64 {
         match &self.0 {
             Content::Pictures(pictures) => pictures.iter().map(|picture| picture.bytes).sum(),
+            Content::Linear(views) => {
+                let pixels = |view: &(NamedCamera, Picture)| {
+                    let Intrinsics { width, height, .. } = view.0.intrinsics;
+                    (width * height) as u64
+                };
+                views.iter().map(|view| PIXEL * pixels(view)).sum()
+            }
             Content::Colmap { views, gaussians, .. } => {
                 let pictures: u64 = views.iter().map(|(_, picture)| picture.bytes).sum();
                 pictures + ROW * (views.len() + gaussians) as u64
@@ -270,6 +295,15 @@ impl Prepared {
                 let mut archive = Archive::new(out);
                 for picture in pictures {
                     archive.picture("", picture)?;
+                }
+                archive.finish()
+            }
+            Content::Linear(views) => {
+                let mut archive = Archive::new(out);
+                for (named, picture) in views {
+                    let light = Image::load(&picture.path)?.to_linear();
+                    let bytes = light.to_tiff()?;
+                    archive.entry(&format!("{}.tif", named.name), &mut bytes.as_slice())?;
                 }
                 archive.finish()
             }

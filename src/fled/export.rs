@@ -80,7 +80,7 @@ fn is_of_run(path: &Path, run: &RunFolder) -> bool {
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
         let missing = error.is_missing();
-        if matches!(error, ExportError::NotTrimmed(_)) {
+        if matches!(error, ExportError::NotTrimmed(_) | ExportError::OnlyDelivered(_)) {
             return Self::usage(error);
         }
         let kind = match error {

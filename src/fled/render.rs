@@ -18,7 +18,7 @@ use crate::failure::{Failure, io};
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// Output file: .png, .webp (both lossless) or .jpg.
+    /// Output file: .png, .webp (both lossless) or .jpg; with --linear .tif.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
@@ -40,6 +40,10 @@ pub struct Args {
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops,
         conflicts_with = "depth")]
     ev: f64,
+    /// Writes linear light as a TIFF of 16 bits, for colour grading; light above white is clipped
+    /// (lower it with --ev).
+    #[arg(long, conflicts_with = "depth")]
+    linear: bool,
     /// Gives the picture the exposure and tint of the view's photograph, which the scene evens.
     #[arg(long, requires = "view", conflicts_with = "depth")]
     as_photographed: bool,
@@ -75,6 +79,7 @@ struct From {
 /// # Errors
 /// [`Failure`] if the run, the view or the adapter is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
+    check_format(args)?;
     let run = RunFolder::new(&args.run);
     let cameras = read_cameras(&run.cameras())?;
     let camera =
@@ -93,7 +98,25 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             renderer.render(&gaussians, &camera, gaussians.sh_degree).map_err(render)?;
         gains(args, &run, &cameras)?.expose(&delivered).exposed(args.ev)
     };
-    picture.save(&args.output).map_err(|e| Failure::new(ErrorKind::Io, e))
+    let written = if args.linear {
+        picture.to_linear().save_tiff(&args.output)
+    } else {
+        picture.save(&args.output)
+    };
+    written.map_err(|e| Failure::new(ErrorKind::Io, e))
+}
+
+/// # Errors
+/// [`Failure`] if the output's extension is not that of the format that is asked for.
+fn check_format(args: &Args) -> Result<(), Failure> {
+    let extension = args.output.extension().and_then(|e| e.to_str()).unwrap_or_default();
+    let is_tiff = ["tif", "tiff"].iter().any(|tiff| extension.eq_ignore_ascii_case(tiff));
+    let refused = match (args.linear, is_tiff) {
+        (true, false) => "--linear writes a TIFF: name the output file .tif",
+        (false, true) => "a TIFF is written in linear light: add --linear, or name the file .png",
+        _ => return Ok(()),
+    };
+    Err(Failure::usage(refused))
 }
 
 /// The exposure that the picture gets: that of the view's photograph, relative to the scene's.

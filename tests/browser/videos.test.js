@@ -97,7 +97,7 @@ test("a server that cannot make one says what to do", async () => {
   });
 });
 
-const EXPORTS = [["restored.zip", "PK"], ["colmap.zip", "PK"], ["transforms.json", "{"], ["cameras.inria.json", "["],
+const EXPORTS = [["restored.zip", "PK"], ["linear.zip", "PK"], ["colmap.zip", "PK"], ["transforms.json", "{"], ["cameras.inria.json", "["],
   ["scene.ply", "ply\nformat"], ["scene.compressed.ply", "ply\nformat"], ["scene.glb", "glTF"], ["scene.usda", "#usda 1.0"],
   ["scene.v3.spz", "\x1f\ufffd"], ["scene.spz", "NGSP"], ["scene.sog", "PK"]];
 

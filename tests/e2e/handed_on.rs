@@ -94,6 +94,7 @@ fn the_scene_is_trimmed(folder: &Path, run: &Path) {
     for (arguments, exit, fault) in [
         (far, 3, "the middle of the scene is"),
         (&["export", "restored.zip", "--sh-degree", "1"], 2, "restored.zip holds no scene"),
+        (&["export", "linear.zip", "--round", "1"], 2, "of the delivered round alone"),
     ] {
         let output = made(arguments, run, &padded);
         assert_eq!(code(&output), exit, "{}", said(&output));

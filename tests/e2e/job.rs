@@ -185,6 +185,13 @@ fn a_finished_run_renders_from_a_view_and_an_orbit() {
         Image::load(&out.join("restored").join(format!("{name}.png"))).expect("restored");
     let psnr = fled_core::metrics::psnr(&view, &restored);
     assert!(psnr > 45.0, "`fled render` and the pipeline disagree: {psnr:.1} dB");
+    let path = folder.path().join("picture.tif");
+    let mut command = fled();
+    command.arg("render").arg(&out).args(["--view", &name, "--ev", "-1", "-o"]).arg(&path);
+    succeed(command.arg("--linear"));
+    let light = Image::load_light(&path, usize::MAX).expect("a TIFF").get(64, 40)[1];
+    let wanted = 0.5 * view.to_linear().get(64, 40)[1];
+    assert!((light - wanted).abs() < 0.004, "{light} {wanted}");
     let orbit = picture(&["--azimuth", "10", "--elevation", "-3", "--size", "96x64"]);
     assert_eq!((orbit.width(), orbit.height()), (96, 64));
     assert!(fled_core::metrics::mean_v(&orbit) > 0.02, "the orbit looks at nothing");

@@ -1,5 +1,8 @@
-//! Writing: PNG and JPEG, atomically.
+//! Writing: PNG, JPEG, WebP and TIFF, atomically.
 
+mod profile;
+
+use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::{self, Cursor, Write};
 use std::path::Path;
@@ -9,15 +12,17 @@ use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
 use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
+use tiff::encoder::{TiffEncoder, colortype};
+use tiff::tags::Tag;
 
-use super::{Image, ImageError, Srgb};
+use super::{Image, ImageError, Linear, Srgb};
 
 /// How an image is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EncodeFormat {
     /// PNG, 8 bit a channel.
     Png,
-    /// PNG, 16 bit a channel.
+    /// PNG, 16 bit a channel, with the profile of sRGB.
     Png16,
     /// JPEG of this quality, 1..=100.
     Jpeg(u8),
@@ -44,11 +49,6 @@ impl Image<Srgb> {
     /// Interleaved 8-bit RGB, [height, width, 3], clipped and rounded to the nearest step.
     pub fn to_rgb8(&self) -> Vec<u8> {
         self.interleaved(|v| (v.clamp(0.0, 1.0) * 255.0).round() as u8)
-    }
-
-    /// Interleaved 16-bit RGB, [height, width, 3], clipped and rounded to the nearest step.
-    pub fn to_rgb16(&self) -> Vec<u16> {
-        self.interleaved(|v| (v.clamp(0.0, 1.0) * 65_535.0).round() as u16)
     }
 
     /// From interleaved 8-bit RGB, [height, width, 3].
@@ -88,12 +88,10 @@ impl Image<Srgb> {
                 // The encoder wants native-endian bytes and swaps them itself.
                 let samples: Vec<u8> =
                     self.to_rgb16().into_iter().flat_map(u16::to_ne_bytes).collect();
-                PngEncoder::new(&mut bytes).write_image(
-                    &samples,
-                    width,
-                    height,
-                    ExtendedColorType::Rgb16,
-                )
+                let profile = profile::srgb().map_err(unencodable)?;
+                let mut encoder = PngEncoder::new(&mut bytes);
+                encoder.set_icc_profile(profile).map_err(unencodable)?;
+                encoder.write_image(&samples, width, height, ExtendedColorType::Rgb16)
             }
             EncodeFormat::Jpeg(quality) => JpegEncoder::new_with_quality(
                 &mut bytes,
@@ -107,7 +105,7 @@ impl Image<Srgb> {
                 ExtendedColorType::Rgb8,
             ),
         };
-        outcome.map_err(|error| ImageError::Encode { message: error.to_string() })?;
+        outcome.map_err(unencodable)?;
         Ok(bytes.into_inner())
     }
 
@@ -127,11 +125,53 @@ impl Image<Srgb> {
         write_atomic(path, &self.encode(format)?)
             .map_err(|source| ImageError::Io { path: path.to_owned(), source })
     }
+}
+
+impl Image<Linear> {
+    /// Encodes to a TIFF of 16 bits a channel in linear light, clipped, with a profile that says
+    /// so.
+    ///
+    /// # Errors
+    /// [`ImageError::Encode`] if the image is too large for a TIFF.
+    pub fn to_tiff(&self) -> Result<Vec<u8>, ImageError> {
+        let profile = profile::linear_srgb().map_err(unencodable)?;
+        let samples = self.to_rgb16();
+        let mut bytes = Cursor::new(Vec::new());
+        let (width, height) = (self.width as u32, self.height as u32);
+        let mut write = || {
+            let mut file = TiffEncoder::new(&mut bytes)?;
+            let mut image = file.new_image::<colortype::RGB16>(width, height)?;
+            image.encoder().write_tag(Tag::IccProfile, profile.as_slice())?;
+            image.write_data(&samples)
+        };
+        write().map_err(unencodable)?;
+        Ok(bytes.into_inner())
+    }
+
+    /// Writes [`Image::to_tiff`] to a file, atomically.
+    ///
+    /// # Errors
+    /// [`ImageError::Encode`], or [`ImageError::Io`] naming the path.
+    pub fn save_tiff(&self, path: &Path) -> Result<(), ImageError> {
+        write_atomic(path, &self.to_tiff()?)
+            .map_err(|source| ImageError::Io { path: path.to_owned(), source })
+    }
+}
+
+impl<E> Image<E> {
+    /// Interleaved 16-bit RGB, [height, width, 3], clipped and rounded to the nearest step.
+    pub fn to_rgb16(&self) -> Vec<u16> {
+        self.interleaved(|v| (v.clamp(0.0, 1.0) * 65_535.0).round() as u16)
+    }
 
     fn interleaved<T>(&self, quantise: impl Fn(f32) -> T) -> Vec<T> {
         let (red, green, blue) = (self.plane(0), self.plane(1), self.plane(2));
         (0..self.pixels()).flat_map(|i| [red[i], green[i], blue[i]]).map(quantise).collect()
     }
+}
+
+fn unencodable(error: impl Display) -> ImageError {
+    ImageError::Encode { message: error.to_string() }
 }
 
 /// Writes a file atomically: to a temporary name in the same folder, flushed to disk, then renamed
@@ -189,6 +229,35 @@ mod tests {
                 .fold(0.0, f32::max);
             assert!(worst <= 0.5001 / step, "{name}: {worst}");
         }
+    }
+
+    #[test]
+    fn a_linear_tiff_is_read_back_as_the_light_that_it_holds() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.tif");
+        let light = picture().to_linear().map(|v| 0.02 * v);
+        write_atomic(&path, &light.to_tiff().expect("encoded")).expect("written");
+        let back = Image::load_light(&path, usize::MAX).expect("read");
+        for (wanted, got) in light.data().iter().zip(back.data()) {
+            assert!((wanted - got).abs() < 1.5 / 65_535.0, "{wanted} {got}");
+        }
+    }
+
+    #[test]
+    fn deep_pictures_say_that_they_are_srgb_and_linear_ones_that_they_are_not() {
+        use ::image::ImageDecoder;
+        let deep = picture().encode(EncodeFormat::Png16).expect("encoded");
+        let mut png = ::image::codecs::png::PngDecoder::new(Cursor::new(deep)).expect("a PNG");
+        assert_eq!(png.color_type(), ::image::ColorType::Rgb16);
+        let name = |icc: Option<Vec<u8>>| {
+            let profile = moxcms::ColorProfile::new_from_slice(&icc.expect("has one"));
+            format!("{:?}", profile.expect("a profile").description)
+        };
+        assert!(name(png.icc_profile().expect("read")).contains("\"sRGB IEC61966-2.1\""));
+        let linear = picture().to_linear().to_tiff().expect("encoded");
+        let mut tiff = tiff::decoder::Decoder::new(Cursor::new(linear)).expect("a TIFF");
+        let icc = tiff.get_tag_u8_vec(Tag::IccProfile).ok();
+        assert!(name(icc).contains("\"linear sRGB\""));
     }
 
     #[test]

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::Middle;
 use crate::gaussians::ply::PlyError;
+use crate::image::ImageError;
 
 /// Why an export failed.
 #[derive(Debug, thiserror::Error)]
@@ -37,6 +38,15 @@ pub enum ExportError {
          the like"
     )]
     NotTrimmed(&'static str),
+    /// A picture cannot be read.
+    #[error(transparent)]
+    Picture(#[from] ImageError),
+    /// Earlier rounds keep their pictures with 8 bits only.
+    #[error(
+        "{0} is of the delivered round alone, because pictures of the others have 8 bits: leave \
+         the round out, or use `fled render --round N --linear`"
+    )]
+    OnlyDelivered(&'static str),
     /// A crop leaves nothing.
     #[error("no Gaussian's centre is inside the crop; the middle of the scene is at {0}")]
     NothingLeft(Middle),
@@ -53,7 +63,7 @@ impl ExportError {
 
     /// Whether the wish cannot be met, whatever the result.
     pub fn is_of_wish(&self) -> bool {
-        matches!(self, Self::NotTrimmed(_) | Self::NothingLeft(_))
+        matches!(self, Self::NotTrimmed(_) | Self::OnlyDelivered(_) | Self::NothingLeft(_))
     }
 
     /// Whether one of its inputs is missing.

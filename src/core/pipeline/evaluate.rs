@@ -102,7 +102,8 @@ fn brighten_scene(
     Ok(ply::write(&gaussians, finished.normalisation, &path)?)
 }
 
-/// Writes the round's renders at the views' cameras and the target brightness.
+/// Writes the round's renders at the views' cameras and the target brightness, with 16 bits: a
+/// scene averages its views, and people go on editing these.
 fn restored(
     workspace: &Workspace,
     views: &[View],
@@ -110,7 +111,7 @@ fn restored(
 ) -> Result<(), PipelineError> {
     views.iter().enumerate().try_for_each(|(index, view)| {
         let path = workspace.folder().restored_view(&view.name);
-        pictures::write(workspace, &path, &target.render(index), EncodeFormat::Png)
+        pictures::write(workspace, &path, &target.render(index), EncodeFormat::Png16)
     })
 }
 

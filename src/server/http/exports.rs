@@ -212,7 +212,7 @@ impl Write for Pipe<'_> {
 
 fn media_type(export: Export) -> &'static str {
     match export {
-        Export::Restored | Export::Colmap | Export::Sog => "application/zip",
+        Export::Restored | Export::Linear | Export::Colmap | Export::Sog => "application/zip",
         Export::Ply | Export::CompressedScene | Export::SpzVersion3 | Export::Spz => {
             "application/octet-stream"
         }
