@@ -136,7 +136,7 @@ def check(program, folder):
         (folder / "hooks.py").write_text(HOOKS)
         (folder / "schemathesis.toml").write_text(config(finished_job(base)))
         schemathesis = Path(sys.executable).parent / "schemathesis"
-        command = [schemathesis, "--config-file", folder / "schemathesis.toml", "run", f"{base}/openapi.yaml"]
+        command = [schemathesis, "--config-file", folder / "schemathesis.toml", "run", f"{base}/openapi.yaml", "--url", base]
         outcome = subprocess.run(command, cwd=folder, timeout=PATIENCE)
         if server.poll() is not None:
             raise SystemExit(f"the server died: {(folder / 'log').read_text()[-4000:]}")

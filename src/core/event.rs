@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::metrics::{CaptureShake, RoundMetrics};
+use crate::poses::overlap::Overlap;
 
 /// The stages of a job, in the order of Algorithm 1.
 #[derive(
@@ -88,6 +89,8 @@ pub enum Event {
         /// Its description, for users.
         name: String,
     },
+    /// The matches of the networks do not connect all photographs.
+    OverlapFound(Overlap),
     /// Progress inside a stage.
     StageAdvanced {
         stage: Stage,

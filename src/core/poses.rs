@@ -3,6 +3,7 @@
 
 pub mod align;
 pub mod matching;
+pub mod overlap;
 mod picture;
 pub mod pnp;
 

@@ -97,6 +97,9 @@ fn lines(event: &Event) -> Vec<String> {
             format!("{} {how} {seconds:.1} s", name(stage.name(), *round))
         }
         Event::StrategyStarted { strategy, name } => format!("poses: strategy {strategy}, {name}"),
+        Event::OverlapFound(overlap) => {
+            format!("poses: matches connect the photographs in {}", overlap.in_words())
+        }
         Event::Warning { code, message } => format!("warning ({code}): {message}"),
         Event::Log { message } => message.clone(),
         Event::Finished { best_round, seconds } => {

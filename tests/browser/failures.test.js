@@ -1,7 +1,7 @@
 // The messages and actions of failed jobs and refused uploads.
 
 import assert from "node:assert/strict";
-import { writeFileSync } from "node:fs";
+import { readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 
@@ -28,17 +28,59 @@ async function failed(plan) {
 /** The visible actions of a job's head, in order. */
 const actions = (page) => page.locator("h1 ~ .push > *:visible").allInnerTexts();
 
-both("too few poses: the photographs stay, and the first action is to upload more", async (width) =>
+both("too few poses: the photographs stay, and the first action is to add some", async (width) =>
   stand.visit("failed-few", `#/jobs/${await failed("few_poses")}`, async (page) => {
     await seen(state(page), "failed");
     const small = part(page, "Photographs").locator(".photographs img");
     await until("the photographs are there", async () => (await small.count()) === 8 && loaded(small));
     const all = await actions(page);
-    assert.equal(all[0], "Upload more photographs");
+    assert.equal(all[0], "Add photographs");
     assert.equal(all.at(-1), "Try again");
-    await page.getByRole("link", { name: "Upload more photographs" }).click();
-    await part(page, "New job").waitFor();
+    await page.getByRole("link", { name: "Add photographs" }).click();
+    await seen(part(page, "New job"), "What you choose is added to the 8 photographs of");
   }, width));
+
+both("too little overlap: the groups, with links between photographs that match", async (width) =>
+  stand.visit("failed-apart", `#/jobs/${await failed("apart")}`, async (page) => {
+    await seen(state(page), "failed");
+    const map = part(page, "Photographs");
+    await seen(map, "These 4 and these 2 have nothing in common, and 2 photographs match no other. Take some in between.");
+    const small = map.locator(".overlap img");
+    await until("the photographs are there", async () => (await small.count()) === 8 && loaded(small));
+    const groups = await map.locator("figure").evaluateAll((all) =>
+      all.map((one) => [one.querySelectorAll("img").length, one.querySelector("figcaption").innerText]));
+    assert.deepEqual(groups, [[4, "4 photographs"], [2, "2 photographs"], [2, "match no other"]]);
+    // Each link ends above the middles of its two photographs.
+    const [first, fourth] = await Promise.all([0, 3].map((at) => small.nth(at).boundingBox()));
+    const arcs = map.locator(".overlap path");
+    assert.equal(await arcs.count(), 6);
+    assert.equal(await map.locator(".overlap path.weak").count(), 1);
+    const frame = await map.locator(".overlap svg").boundingBox();
+    const ends = await arcs.nth(2).evaluate((arc) => [0, arc.getTotalLength()].map((at) => arc.getPointAtLength(at).x));
+    assert.ok(Math.abs(frame.x + ends[1] - (fourth.x + fourth.width / 2)) < 2, `${ends} ${fourth.x}`);
+    assert.ok(first.x < fourth.x && frame.y + frame.height <= first.y + 1);
+    await seen(map, "with 17 matches of the 30 that connect two photographs");
+  }, width));
+
+test("photographs are added to those of a failed job", async () => {
+  const images = join(stand.folder, "images");
+  const buffer = readFileSync(join(images, readdirSync(images)[0]));
+  await stand.visit("failed-added", `#/jobs/${await failed("apart")}`, async (page) => {
+    await page.getByRole("link", { name: "Add photographs" }).click();
+    await seen(part(page, "New job"), "What you choose is added to the 8 photographs of");
+    await page.getByLabel("Choose files").setInputFiles({ name: "one-more.png", mimeType: "image/png", buffer });
+    const [answer] = await Promise.all([
+      page.waitForResponse((response) => response.url().endsWith("/v1/jobs") && response.request().method() === "POST"),
+      button(page, "Start").click(),
+    ]);
+    const job = await answer.json();
+    assert.equal(answer.status(), 202, JSON.stringify(job));
+    const capture = await (await fetch(`${server.base}/v1/captures/${job.capture_id}`)).json();
+    const names = capture.images.map(({ name }) => name);
+    assert.equal(names.length, 9);
+    assert.ok(names.includes("one-more.png"), names.join());
+  });
+});
 
 both("another failure offers to try again first", async (width) =>
   stand.visit("failed-other", `#/jobs/${await failed("bad_word")}`, async (page) => {

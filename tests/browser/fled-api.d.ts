@@ -11,6 +11,7 @@ export type JobError = Schemas["JobError"];
 export type Jobs = Schemas["Jobs"];
 export type LogPage = Schemas["LogPage"];
 export type MadeShare = Schemas["MadeShare"];
+export type Overlap = Schemas["Overlap"];
 export type Problem = Schemas["Problem"];
 export type Readiness = Schemas["Readiness"];
 export type Running = Schemas["Running"];

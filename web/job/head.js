@@ -33,7 +33,7 @@ export function jobHead(base, refresh, who) {
   const problem = h("p", { class: "problem", role: "alert" });
   const result = h("div");
   const again = h("a", { class: "button" }, "Run again with other options");
-  const more = h("a", { class: "button main", href: "#/" }, "Upload more photographs");
+  const more = h("a", { class: "button main" }, "Add photographs");
   const tags = h("span", { class: "tags" });
   const change = action("Edit", () => edit(job));
   change.hidden = false;
@@ -132,6 +132,7 @@ export function jobHead(base, refresh, who) {
       again.hidden = !isOver(job);
       const isFew = job.error?.code === "few_poses" && isOver(job);
       more.hidden = !isFew;
+      more.href = `#/?add=${job.capture_id}`;
       // The same photographs would fail again.
       if (isFew && actions.lastChild !== buttons.retry) actions.append(buttons.retry);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;

@@ -10,6 +10,7 @@ import { logView } from "./log.js";
 import { hasTruth, metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
 import { leftOut, strip } from "../lib/photographs.js";
+import { overlapMap } from "./overlap.js";
 import { camerasMap } from "./poses.js";
 import { requestOf } from "./request.js";
 import { scenePanel } from "../scene/panel.js";
@@ -59,7 +60,9 @@ export function jobPage(main, who, id) {
     request, ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
-  let onceRounds = () => {};
+  /** @type {import("fled-api").Capture | null} */
+  let uploaded = null;
+  let isEarly = false;
   let [stream, isHeard, hasEnded, timer, gone, cameras, placed, capture, given, reported] = [null, false, false, 0, false, null, 0, null, undefined, ""];
 
   async function refresh() {
@@ -83,11 +86,12 @@ export function jobPage(main, who, id) {
       // The events also hold the curves of a job that is over.
       if (!stream && !(isOver(job) && isHeard)) listen();
       if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
-      if (!isVisitor) capture ??= showUnused(job);
+      if (!isVisitor) capture ??= takeCapture(job);
       // Rounds and states change these; progress events do not.
       const report = `${job.state} ${job.attempts} ${job.stages.length}`;
       if (report !== reported) {
         reported = report;
+        showPhotographs(job);
         await showResults(job);
       }
     } catch (error) {
@@ -100,16 +104,23 @@ export function jobPage(main, who, id) {
     }
   }
 
-  /** Shows the photographs left out of the upload, once, as they do not change. */
-  async function showUnused(job) {
+  /** Loads the capture, once, as it does not change. */
+  async function takeCapture(job) {
     /** @type {import("fled-api").Capture | null} */
     const found = await api(`v1/captures/${job.capture_id}`).catch(() => null);
     if (!found || gone) return;
+    uploaded = found;
     given = found.images.length;
     // Before the first round, and if there is none, there is nothing else to show.
-    const isEarly = !job.stages.some(({ stage, round }) => (isOver(job) ? stage === "evaluate" : round > 0));
-    onceRounds = () => show(unused, leftOut(found));
-    show(unused, leftOut(found), isEarly && strip(found));
+    isEarly = !job.stages.some(({ stage, round }) => (isOver(job) ? stage === "evaluate" : round > 0));
+    showPhotographs(job);
+  }
+
+  /** Shows the photographs left out of the upload and, of a failed job, which match one another. */
+  function showPhotographs(job) {
+    if (!uploaded) return;
+    const apart = isOver(job) && job.error?.code === "few_poses" && job.overlap;
+    show(unused, apart && overlapMap(uploaded, apart), leftOut(uploaded), isEarly && !apart && strip(uploaded));
   }
 
   async function showResults(job) {
@@ -131,7 +142,10 @@ export function jobPage(main, who, id) {
     }
     scene.update(job.name || id, cameras ?? [], artifacts, report.best_round, notable(report)?.best);
     if (rounds.length === 0) return;
-    onceRounds();
+    if (isEarly) {
+      isEarly = false;
+      showPhotographs(job);
+    }
     if (cameras) views.update(cameras, rounds, hasTruth(report.rounds), notable(report));
     novel?.update(rounds);
     if (job.state !== "succeeded") return;

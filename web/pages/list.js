@@ -53,7 +53,7 @@ function filters(changed) {
     sort: sort.value,
   });
   const say = (anew) => {
-    keep(values());
+    keep({ ...values(), add: asked().get("add") });
     changed(anew);
   };
   search.addEventListener("input", () => say(false));

@@ -1,6 +1,7 @@
 // The form that uploads photographs and starts a job.
 
 import { begun } from "./begun.js";
+import { earlier } from "./earlier.js";
 import { Refusal, api, count, duration, h, send, size } from "../lib/dom.js";
 import { takeDrops } from "./dropped.js";
 import { leftovers } from "./leftover.js";
@@ -42,7 +43,8 @@ export function startForm() {
     });
   }
   const left = h("div", {}, leftovers());
-  drop.append(left);
+  const before = earlier();
+  drop.append(before.root, left);
   let [run, gone, isCancelled] = [null, false, false];
   const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
 
@@ -61,6 +63,7 @@ export function startForm() {
       const changed = options.chosen();
       const fields = { preset: options.preset.value, options: changed };
       if (name.value) fields.name = name.value;
+      if (before.id()) fields.add_to = before.id();
       const sent = upload(chosen.files(), fields, (line, isSending) => {
         status.textContent = line;
         cancel.hidden = !isSending;

@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use super::consistency::Consistency;
 use super::copies::Copies;
+use super::groups;
 use super::strategies::FIRST_LEARNED;
 use crate::camera::Camera;
 use crate::poses::matching::Correspondences;
@@ -114,4 +115,13 @@ impl Candidate {
 pub(super) struct Evidence<'a> {
     pub(super) small: &'a Copies,
     pub(super) found: Option<Correspondences>,
+}
+
+impl Evidence<'_> {
+    /// The most photographs that a model can be believed to place: [`Consistency`] believes what
+    /// pairs of the networks' matches connect. `None` if the networks found nothing.
+    pub(super) fn reach(&self) -> Option<usize> {
+        let groups = groups::connected(self.found.as_ref()?);
+        Some(groups.first().map_or(0, Vec::len))
+    }
 }

@@ -1,8 +1,11 @@
 //! Groups of connected photographs.
 
+use std::cmp::Reverse;
 use std::collections::HashMap;
 
-use crate::poses::matching::Correspondences;
+use crate::poses::PoseView;
+use crate::poses::matching::{Correspondences, PairMatches};
+use crate::poses::overlap::{Overlap, OverlapLink};
 
 /// Fewer matches do not connect photographs.
 pub(super) const LEAST_MATCHES: usize = 30;
@@ -17,6 +20,52 @@ pub(super) fn connected(found: &Correspondences) -> Vec<Vec<usize>> {
         }
     }
     groups.members()
+}
+
+/// Up to this many photographs the links to the [`STRONGEST`] of each are listed, beyond it only
+/// those that connect the groups: a job keeps them all.
+const MOST_LISTED: usize = 60;
+
+/// Number of links of each photograph.
+const STRONGEST: usize = 3;
+
+/// The groups of the photographs `views` and the pairs that connect them; `None` if there is but
+/// one group.
+pub(super) fn overlap(found: &Correspondences, views: &[PoseView]) -> Option<Overlap> {
+    let groups = connected(found);
+    if groups.len() < 2 {
+        return None;
+    }
+    let name = |index: usize| views[index].name.clone();
+    let link = |pair: &PairMatches| OverlapLink {
+        first: name(pair.first),
+        second: name(pair.second),
+        matches: pair.matches.len(),
+    };
+    Some(Overlap {
+        links: strongest(found).into_iter().map(link).collect(),
+        groups: groups.iter().map(|group| group.iter().map(|&view| name(view)).collect()).collect(),
+        least_matches: LEAST_MATCHES,
+    })
+}
+
+/// The maximum spanning forest of the matches, and some more of the connecting pairs.
+fn strongest(found: &Correspondences) -> Vec<&PairMatches> {
+    let views: Vec<usize> = (0..found.key_points.len()).collect();
+    let most = if views.len() <= MOST_LISTED { STRONGEST } else { 0 };
+    let mut pairs: Vec<&PairMatches> = found.pairs.iter().collect();
+    pairs.sort_by_key(|pair| (Reverse(pair.matches.len()), pair.first, pair.second));
+    let mut forest = Groups::new(&views);
+    let mut listed = vec![0; views.len()];
+    pairs.retain(|pair| {
+        let joins = forest.join(pair.first, pair.second);
+        let is_strong = listed[pair.first] < most || listed[pair.second] < most;
+        let is_listed = joins || is_strong && pair.matches.len() >= LEAST_MATCHES;
+        listed[pair.first] += usize::from(is_listed);
+        listed[pair.second] += usize::from(is_listed);
+        is_listed
+    });
+    pairs
 }
 
 /// Views in disjoint groups.
@@ -47,7 +96,47 @@ impl Groups {
         }
         let mut groups: Vec<Vec<usize>> = groups.into_values().collect();
         groups.iter_mut().for_each(|group| group.sort_unstable());
-        groups.sort_by_key(|group| (std::cmp::Reverse(group.len()), group[0]));
+        groups.sort_by_key(|group| (Reverse(group.len()), group[0]));
         groups
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(photographs: usize, pairs: &[(usize, usize, u32)]) -> Correspondences {
+        let pair = |&(first, second, matches): &(usize, usize, u32)| PairMatches {
+            first,
+            second,
+            matches: (0..matches).map(|point| [point, point]).collect(),
+        };
+        Correspondences {
+            key_points: vec![Vec::new(); photographs],
+            pairs: pairs.iter().map(pair).collect(),
+            kept: 0,
+        }
+    }
+
+    #[test]
+    fn links_connect_each_group_and_the_strongest_lead_from_one_to_another() {
+        let least = LEAST_MATCHES as u32;
+        let pairs =
+            [(0, 1, 90), (0, 2, 50), (1, 2, least), (3, 4, 70), (2, 3, least - 1), (0, 3, 9)];
+        let found = found(6, &pairs);
+        assert_eq!(connected(&found), [vec![0, 1, 2], vec![3, 4], vec![5]]);
+        let listed: Vec<_> = { strongest(&found).iter() }
+            .map(|pair| (pair.first, pair.second, pair.matches.len() as u32))
+            .collect();
+        assert_eq!(listed, [(0, 1, 90), (3, 4, 70), (0, 2, 50), (1, 2, least), (2, 3, least - 1)]);
+    }
+
+    #[test]
+    fn of_many_photographs_only_the_links_of_the_forest_are_listed() {
+        let count = MOST_LISTED + 1;
+        let all: Vec<_> = (0..count)
+            .flat_map(|first| (first + 1..count).map(move |second| (first, second, 99)))
+            .collect();
+        assert_eq!(strongest(&found(count, &all)).len(), count - 1);
     }
 }

@@ -8,13 +8,14 @@ use std::time::Instant;
 
 use super::candidate::{Candidate, Evidence};
 use super::copies::Copies;
+use super::groups;
 use super::options::{self, set};
 use super::search::Search;
 use super::strategies::Mapping;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
-use crate::poses::PosesError;
 use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
+use crate::poses::PosesError;
 use crate::run_folder::KEPT_MATCHES;
 
 /// Length of a descriptor in COLMAP's text files. Unused: nothing is matched by descriptors.
@@ -57,7 +58,13 @@ impl Search<'_> {
         cancel: &CancelToken,
     ) -> Result<Option<Candidate>, PosesError> {
         let found = self.find(matching, evidence.small, sink, cancel)?;
+        if let Some(overlap) = groups::overlap(&found, self.request.views) {
+            sink.event(&Event::OverlapFound(overlap));
+        }
         evidence.found = Some(found.clone());
+        if evidence.reach().is_some_and(|reach| self.is_short(reach)) {
+            return Ok(None);
+        }
         let total = self.request.views.len();
         let mut best = None;
         for selection in SELECTIONS {

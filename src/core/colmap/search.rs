@@ -91,20 +91,20 @@ impl<'a> Search<'a> {
                 Err(error) => return Err(error),
             }
         }
+        let reach = evidence.reach();
+        if let Some(reach) = reach.filter(|&reach| self.is_short(reach)) {
+            sink.log(format!(
+                "poses: the networks' matches connect at most {reach} of {total} photographs, and no \
+                 strategy is believed beyond them: none is tried"
+            ));
+            return Ok(None);
+        }
         for strategy in STRATEGIES
             .iter()
             .filter(|strategy| !(strategy.copies == Kind::Full && small.are_full_size()))
             .filter(|strategy| strategy.beside_networks || evidence.found.is_none())
         {
-            let accepted = best.as_ref().filter(|best| best.accepted);
-            let is_enough = |best: &Candidate| match strategy.letter {
-                // With little shake COLMAP's own points are finer than learned ones.
-                'A' => false,
-                // Mapping again is cheap, so also try if a good model lacks a photograph.
-                'B' => best.believed() == total,
-                _ => true,
-            };
-            if accepted.is_some_and(is_enough) {
+            if best.as_ref().is_some_and(|best| self.is_enough(strategy, best, reach)) {
                 break;
             }
             begin(sink, strategy.letter, strategy.name);
@@ -124,6 +124,28 @@ impl<'a> Search<'a> {
         match (best, broken) {
             (None, Some(error)) => Err(error),
             (best, _) => Ok(best),
+        }
+    }
+
+    /// Whether so few photographs make no scene.
+    pub(super) fn is_short(&self, registered: usize) -> bool {
+        let share = self.acceptance.salvage * self.request.views.len() as f64;
+        registered < MIN_VIEWS || (registered as f64) < share
+    }
+
+    /// Whether a strategy and those after it are not needed. A model that has the `reach`
+    /// photographs which the networks' matches connect, too few to be accepted, is as good as any.
+    fn is_enough(&self, strategy: &Strategy, best: &Candidate, reach: Option<usize>) -> bool {
+        let total = self.request.views.len();
+        let accepted = self.acceptance.registered * total as f64;
+        let is_all =
+            reach.is_some_and(|reach| best.believed() >= reach && (reach as f64) < accepted);
+        match strategy.letter {
+            // With little shake COLMAP's own points are finer than learned ones.
+            'A' => false,
+            // Mapping again is cheap, so also try if a good model lacks a photograph.
+            'B' => is_all || best.accepted && best.believed() == total,
+            _ => is_all || best.accepted,
         }
     }
 
@@ -348,8 +370,7 @@ impl<'a> Search<'a> {
         evidence: &Evidence<'_>,
     ) -> Result<Poses, PosesError> {
         let (registered, total) = (best.believed(), self.request.views.len());
-        let least = (self.acceptance.salvage * total as f64).max(MIN_VIEWS as f64);
-        if !best.accepted && (registered as f64) < least {
+        if !best.accepted && self.is_short(registered) {
             return Err(self.too_few(registered, evidence));
         }
         let all = self.request.views.iter().enumerate();
@@ -388,18 +409,26 @@ impl<'a> Search<'a> {
     }
 
     fn too_few(&self, registered: usize, evidence: &Evidence<'_>) -> PosesError {
-        let parts = self.parts(evidence);
-        let advice = if parts.is_empty() {
-            "take 20 to 60 photographs with large overlap, moving the camera sideways between \
-             them; hold it still, add light, and include textured objects"
-                .to_owned()
-        } else {
+        let (parts, total) = (self.parts(evidence), self.request.views.len());
+        let found = evidence.found.as_ref();
+        let overlap = found.and_then(|found| groups::overlap(found, self.request.views));
+        let advice = if !parts.is_empty() {
             format!(
                 "they show {}: make a capture of each, or add photographs that connect them",
                 in_words(&parts)
             )
+        } else if let Some(overlap) = overlap.filter(|overlap| 2 * overlap.matched() >= total) {
+            format!(
+                "matches connect them only in {}: take more photographs between these, each of \
+                 which shows most of what the one before it shows",
+                overlap.in_words()
+            )
+        } else {
+            "take 20 to 60 photographs with large overlap, moving the camera sideways between \
+             them; hold it still, add light, and include textured objects"
+                .to_owned()
         };
-        PosesError::TooFew { registered, total: self.request.views.len(), advice }
+        PosesError::TooFew { registered, total, advice }
     }
 }
 

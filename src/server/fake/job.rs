@@ -14,6 +14,7 @@ use fled_core::event::{Event, Stage};
 use fled_core::gaussians::{Gaussians, ply};
 use fled_core::image::Image;
 use fled_core::pipeline::config::Options;
+use fled_core::poses::overlap::{Overlap, OverlapLink};
 use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
 
@@ -84,6 +85,10 @@ impl Job {
             size: None,
         });
         match self.plan.as_str() {
+            "apart" => {
+                tell(&Event::OverlapFound(self.overlap()));
+                return fail("few_poses", "4 of 8 photographs could be placed", "Take more.");
+            }
             "few_poses" => {
                 return fail("few_poses", "3 of 20 photographs could be placed", "Take more.");
             }
@@ -120,6 +125,26 @@ impl Job {
             seconds: self.started.elapsed().as_secs_f64(),
         });
         Ok(())
+    }
+
+    /// Four photographs that match one another, two that match each other, and the others, which
+    /// match none; the strongest pair between the groups is too weak.
+    fn overlap(&self) -> Overlap {
+        let (most, rest) = self.names.split_at(self.names.len().min(4));
+        let (two, rest) = rest.split_at(rest.len().min(2));
+        let groups = [most, two].into_iter().chain(rest.chunks(1));
+        let link = |(first, second, matches): &(usize, usize, usize)| OverlapLink {
+            first: self.names[*first].clone(),
+            second: self.names[*second].clone(),
+            matches: *matches,
+        };
+        let links = [(0, 1, 240), (1, 2, 180), (2, 3, 64), (0, 2, 41), (4, 5, 130), (3, 4, 17)];
+        let is_there = |(_, second, _): &&(usize, usize, usize)| *second < self.names.len();
+        Overlap {
+            groups: groups.map(<[String]>::to_vec).filter(|group| !group.is_empty()).collect(),
+            links: links.iter().filter(is_there).map(link).collect(),
+            least_matches: 30,
+        }
     }
 
     /// Runs one stage, or skips it if an earlier attempt has finished it.

@@ -9,7 +9,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use fled_core::pipeline::poses::CACHED;
 use fled_core::run_folder::RunFolder;
@@ -26,6 +26,15 @@ pub const THUMBNAILS: &str = ".thumbnails";
 pub fn thumbnail(name: &str) -> PathBuf {
     let digest = blake3::hash(name.as_bytes()).to_hex();
     Path::new(THUMBNAILS).join(format!("{}.jpg", &digest[..32]))
+}
+
+/// Where the photograph `name` of a capture is, below its folder or in its ZIP; `None` if it was
+/// never decoded.
+pub fn photograph(capture: &Path, name: &str) -> Option<PathBuf> {
+    let file = capture.join(thumbnail(name)).with_extension("txt");
+    let place = PathBuf::from(fs::read_to_string(file).ok()?);
+    // An uploaded archive may contain such a file.
+    place.components().all(|part| matches!(part, Component::Normal(_))).then_some(place)
 }
 
 /// The locked data directory of a server.

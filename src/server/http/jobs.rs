@@ -30,7 +30,7 @@ use crate::app::crew::Crew;
 use crate::error::ServerError;
 use crate::files::remove;
 use crate::store::state::JobState;
-use crate::store::{Creation, JobDetails, JobFilter, JobRow};
+use crate::store::{CaptureRow, Creation, JobDetails, JobFilter, JobRow};
 
 /// How long a cancellation waits for the job to end before it responds.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
@@ -183,12 +183,7 @@ async fn from_json(
     if let Some(name) = &body.name {
         upload::check_name(name)?;
     }
-    let capture = app.store.capture(&body.capture_id).await?;
-    // Another owner's capture is reported as not found. A job belongs to its capture's owner.
-    let capture = capture.filter(|capture| {
-        let only = visitor.sees_only();
-        only.is_none() || capture.owner.as_deref() == only
-    });
+    let capture = seen_capture(app, &body.capture_id, visitor).await?;
     let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
     let priority = Priority::asked(body.priority.as_ref(), visitor)?;
     let options = priority.beside(&body.options);
@@ -208,6 +203,20 @@ async fn from_json(
     )?;
     let made = app.store.create_job(&job, key, &fingerprint, visitor.room(app.limits.queue)).await;
     made.map_err(not_made)
+}
+
+/// The capture, unless it has another owner: that is reported as not found. A job belongs to its
+/// capture's owner.
+pub(super) async fn seen_capture(
+    app: &App,
+    id: &str,
+    visitor: &Visitor,
+) -> Result<Option<CaptureRow>, Problem> {
+    let capture = app.store.capture(id).await?;
+    Ok(capture.filter(|capture| {
+        let only = visitor.sees_only();
+        only.is_none() || capture.owner.as_deref() == only
+    }))
 }
 
 /// Why a job was not created: its capture may have been deleted since the check.

@@ -22,6 +22,7 @@ use super::{
         description = "Turns dark, noisy, shaken photographs of a place into a bright, sharp 3D scene.",
         license(name = "MIT OR Apache-2.0")
     ),
+    servers((url = ".", description = "Where this document is, also below the path of a proxy")),
     paths(
         captures::create,
         sample::create,

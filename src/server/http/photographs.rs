@@ -1,7 +1,7 @@
 //! `/v1/captures/{id}/photographs` and `thumbnails`: the pictures of a capture.
 
 use std::io;
-use std::path::{Component, Path as FilePath, PathBuf};
+use std::path::Path as FilePath;
 use std::sync::Arc;
 
 use axum::extract::{Path, State};
@@ -63,12 +63,11 @@ pub async fn original(
     let folder = app.data.capture(&row.id);
     let missing = || Problem::not_found("photograph");
     let thumbnail = data::thumbnail(&name);
-    let place = tokio::fs::read_to_string(folder.join(&thumbnail).with_extension("txt")).await;
-    let place = PathBuf::from(place.map_err(|_| missing())?);
-    // An uploaded archive may contain such a file.
-    if !place.components().all(|part| matches!(part, Component::Normal(_))) {
-        return Err(missing());
-    }
+    let place = {
+        let folder = folder.clone();
+        tokio::task::spawn_blocking(move || data::photograph(&folder, &name)).await
+    };
+    let place = place.map_err(|_| Problem::internal())?.ok_or_else(missing)?;
     let media_type = media_type(&place);
     let stored = source(folder.clone());
     if stored == folder {

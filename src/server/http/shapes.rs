@@ -3,6 +3,7 @@
 use fled_core::camera::Split;
 use fled_core::capture::view_names;
 use fled_core::metrics::Reference;
+use fled_core::poses::overlap::Overlap;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
@@ -109,6 +110,11 @@ pub struct Job {
     pub eta_seconds: Option<f64>,
     /// Why the job failed.
     pub error: Option<JobError>,
+    /// The photographs in groups that match one another, if their matches do not connect all;
+    /// absent in lists.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(schema_with = of_overlap)]
+    pub overlap: Option<Overlap>,
     /// Warnings.
     pub warnings: Vec<Warning>,
     /// Delivered round of a finished job.
@@ -157,6 +163,10 @@ pub struct Score {
     pub ssim: Option<f64>,
 }
 
+fn of_overlap() -> Ref {
+    Ref::from_schema_name("Overlap")
+}
+
 fn of_reference() -> Ref {
     Ref::from_schema_name("Reference")
 }
@@ -198,7 +208,8 @@ pub struct Jobs {
 
 impl Job {
     pub fn from_details(job: JobDetails, crew: Option<&Crew>) -> Self {
-        let JobDetails { row, warnings, stages, queue_position, stage_started_at, score } = job;
+        let JobDetails { row, warnings, stages, queue_position, stage_started_at, score, overlap } =
+            job;
         Self {
             warnings: warnings
                 .into_iter()
@@ -233,6 +244,7 @@ impl Job {
                 detail: error.detail,
                 hint: error.hint,
             }),
+            overlap,
             best_round: row.best_round,
             score: score.map(|score| Score {
                 reference: score.reference,

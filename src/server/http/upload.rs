@@ -3,6 +3,7 @@
 mod ahead;
 mod assess;
 mod budget;
+mod earlier;
 mod gather;
 mod keep;
 mod places;

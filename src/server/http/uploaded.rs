@@ -23,6 +23,9 @@ pub struct CaptureOfUploads {
     /// IDs of finished uploads: photographs, poses, one ZIP file, or one video. They are used up.
     #[schema(min_items = 1)]
     uploads: Vec<String>,
+    /// ID of a capture whose photographs are used, too; it stays as it is. Its poses, masks and
+    /// ground truth are not used.
+    add_to: Option<String>,
     /// Name of the capture.
     #[schema(max_length = 200)]
     name: Option<String>,
@@ -39,7 +42,7 @@ impl CaptureOfUploads {
     pub(super) async fn bring(self, app: &Arc<App>, visitor: &Visitor) -> Result<Upload, Problem> {
         check_space(app)?;
         let fields = fields(self.name.as_ref(), self.frames);
-        gather(app, &self.uploads, fields, visitor).await
+        gather(app, &self.uploads, self.add_to.as_deref(), fields, visitor).await
     }
 }
 
@@ -56,6 +59,9 @@ pub struct JobOfUploads {
     /// IDs of finished uploads: photographs, poses, one ZIP file, or one video. They are used up.
     #[schema(min_items = 1)]
     uploads: Vec<String>,
+    /// ID of a capture whose photographs are used, too; it stays as it is. Its poses, masks and
+    /// ground truth are not used.
+    add_to: Option<String>,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
     /// Options that override the preset's; see `/v1/options`.
@@ -87,6 +93,7 @@ impl JobOfUploads {
             &options,
             self.name.as_deref().unwrap_or_default(),
             &frames,
+            self.add_to.as_deref().unwrap_or_default(),
         ];
         blake3::hash(parts.join("\n\n").as_bytes()).to_hex().to_string()
     }
@@ -128,7 +135,8 @@ async fn make(
     let preset = body.preset.as_deref().filter(|preset| !preset.is_empty());
     let order = Order::new(app, preset, &body.options, priority).await?;
     let fields = fields(body.name.as_ref(), body.frames);
-    let upload = gather(app, &body.uploads, fields, &visitor).await?;
+    let add_to = body.add_to.as_deref();
+    let upload = gather(app, &body.uploads, add_to, fields, &visitor).await?;
     let report = upload.examine(app).await?;
     order.check_views(&report)?;
     let (app, key) = (app.clone(), request.key.map(str::to_owned));

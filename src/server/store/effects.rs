@@ -99,6 +99,13 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         .bind(code.clone())
         .bind(message.clone())
         .bind(tx.now),
+        Event::OverlapFound(overlap) => {
+            let json = serde_json::to_string(overlap).map_err(|error| ServerError::Damaged {
+                what: "overlap",
+                detail: error.to_string(),
+            })?;
+            sqlx::query("UPDATE jobs SET overlap = $1 WHERE id = $2").bind(json).bind(job)
+        }
         _ => return Ok(()),
     };
     query.execute(&mut **tx).await?;

@@ -1,6 +1,7 @@
 //! Job rows: creation, reads, and user requests.
 
 use fled_core::event::Stage;
+use fled_core::poses::overlap::Overlap;
 use serde_json::{Value, json};
 use sqlx::Row;
 use sqlx::any::AnyRow;
@@ -125,6 +126,8 @@ pub struct JobDetails {
     pub stage_started_at: Option<i64>,
     /// The score of its delivered round.
     pub score: Option<Score>,
+    /// The groups of its photographs, if matches do not connect all; never in a list of jobs.
+    pub overlap: Option<Overlap>,
 }
 
 /// Which jobs to list.
@@ -213,7 +216,15 @@ impl Store {
         let one = format!("{DETAILED} WHERE id = $1 AND video_of IS NULL");
         let row = sqlx::query(sqlx::AssertSqlSafe(one)).bind(id).fetch_optional(&self.pool).await?;
         let rows: Vec<AnyRow> = row.into_iter().collect();
-        Ok(self.detailed(&rows).await?.pop())
+        let (details, row) = (self.detailed(&rows).await?.pop(), rows.first());
+        let Some((details, row)) = details.zip(row) else {
+            return Ok(None);
+        };
+        let overlap: Option<String> = row.try_get("overlap")?;
+        let overlap = overlap.map(|text| serde_json::from_str(&text)).transpose();
+        let overlap = overlap
+            .map_err(|error| ServerError::Damaged { what: "overlap", detail: error.to_string() })?;
+        Ok(Some(JobDetails { overlap, ..details }))
     }
 
     /// Adds the reports of the jobs, in three statements for any number of jobs.
@@ -239,6 +250,7 @@ impl Store {
                 queue_position: row.count_if_any("queue_position")?,
                 stage_started_at: row.try_get("stage_started_at")?,
                 score: scores.remove(&job.id),
+                overlap: None,
                 row: job,
             })
         });
@@ -340,7 +352,7 @@ pub(super) async fn change(
     if matches!(transition, Transition::Retried | Transition::Changed) {
         sqlx::query(
                 "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
-                 failures = 0, not_before = 0, expires_at = NULL WHERE id = $1",
+                 overlap = NULL, failures = 0, not_before = 0, expires_at = NULL WHERE id = $1",
             )
             .bind(id)
             .execute(&mut **tx)

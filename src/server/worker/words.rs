@@ -29,6 +29,9 @@ pub(super) fn readable(event: &Event) -> String {
             )
         }
         Event::StrategyStarted { strategy, name } => format!("poses: strategy {strategy}, {name}"),
+        Event::OverlapFound(overlap) => {
+            format!("poses: matches connect the photographs in {}", overlap.in_words())
+        }
         Event::Warning { code, message } => format!("warning {code}: {message}"),
         other => format!("{other:?}"),
     }

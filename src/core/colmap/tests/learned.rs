@@ -210,6 +210,41 @@ if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
     assert!(advice.contains("5 (view0, view1, view2, view3, view4)"), "{advice}");
 }
 
+#[test]
+fn no_strategy_is_tried_where_matches_connect_too_few_photographs_for_a_scene() {
+    let apart = |count: usize| {
+        let scene = Scene::new(count, PLACES_ALWAYS);
+        let (mut tried, mut overlap) = (Vec::new(), None);
+        let mut sink = |event: &Event| match event {
+            Event::StrategyStarted { strategy, .. } => tried.push(*strategy),
+            Event::OverlapFound(found) => overlap = Some(found.clone()),
+            _ => {}
+        };
+        let matching = Neighbours { contradicting: Vec::new(), last_of_a_place: Some(1) };
+        let tool = scene.tool().with_matching(Arc::new(matching));
+        let found = scene.run(&tool, &mut sink, &CancelToken::new());
+        let overlap = overlap.expect("two groups");
+        let names = |views: &[usize]| views.iter().map(|view| format!("view{view}")).collect();
+        let rest: Vec<usize> = (2..count).collect();
+        let mut groups: [Vec<String>; 2] = [names(&[0, 1]), names(&rest)];
+        groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
+        assert_eq!(overlap.groups, groups);
+        (found, tried, scene.log())
+    };
+    let (found, tried, log) = apart(4);
+    let Err(PosesError::TooFew { registered: 0, total: 4, advice }) = found else {
+        panic!("{found:?}");
+    };
+    assert!(advice.contains("groups of 2 and 2"), "{advice}");
+    assert_eq!(tried, ['L']);
+    assert!(!log.contains("mapper"), "no model can have three photographs: {log}");
+    // One more makes a scene of three of five, which other strategies can only make more exact.
+    let (found, tried, _) = apart(5);
+    let poses = found.unwrap();
+    assert_eq!((poses.registered, poses.low_confidence), (3, true));
+    assert_eq!(tried, ['L', 'A']);
+}
+
 /// The stub's cameras in a rotated world of twice the size, with those of `off` misplaced.
 fn given(scene: &Scene, off: &[usize]) -> Vec<PosedView> {
     let world = Similarity {

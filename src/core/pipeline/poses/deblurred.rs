@@ -47,7 +47,12 @@ pub fn poses(
     }
     let seed = depends_on.first.options().seed;
     let outer = &mut *context.sink;
-    let mut sink = |event: &Event| outer.event(&named(event));
+    let mut sink = |event: &Event| {
+        // If they fail, too, what the photographs themselves have in common is said.
+        if !matches!(event, Event::OverlapFound(_)) {
+            outer.event(&named(event));
+        }
+    };
     let mut again = Context::new(context.workspace, &mut sink, context.cancel);
     let found = match ask(&mut again, tools, &copies, &folder.join("colmap"), seed) {
         Ok(found) => found,

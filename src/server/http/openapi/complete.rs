@@ -4,6 +4,7 @@
 use std::sync::LazyLock;
 
 use fled_core::metrics::Report;
+use fled_core::poses::overlap::Overlap;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
@@ -18,7 +19,8 @@ const SCHEMAS: &str = "/components/schemas";
 /// Collections whose items have UUIDs.
 const COLLECTIONS: [&str; 3] = ["captures", "jobs", "uploads"];
 /// Names of fields and parameters that are UUIDs.
-const UUIDS: [&str; 6] = ["capture_id", "job_id", "cursor", "next_cursor", "uploads", "video"];
+const UUIDS: [&str; 7] =
+    ["add_to", "capture_id", "job_id", "cursor", "next_cursor", "uploads", "video"];
 /// Schemas whose `id` is a UUID.
 const OF_UUID: [&str; 3] = ["Capture", "Job", "Video"];
 
@@ -43,13 +45,14 @@ fn members(value: &mut Value) -> impl Iterator<Item = (&String, &mut Value)> {
     value.as_object_mut().into_iter().flatten()
 }
 
-/// Adds the types of `metrics.json`. The rounds response has its fields, most of them once the file
+/// Adds the types of the core: those of `metrics.json` and of a job's overlap. The rounds response has its fields, most of them once the file
 /// exists.
 fn add_report(api: &mut Value) {
     let mut generator = SchemaSettings::draft2020_12()
         .with(|settings| settings.definitions_path = SCHEMAS.into())
         .into_generator();
     generator.subschema_for::<Report>();
+    generator.subschema_for::<Overlap>();
     let mut schemas = generator.take_definitions(true);
     let mut report = schemas.remove("Report").unwrap_or_default();
     let answer = &mut api["components"]["schemas"]["Rounds"]["properties"];

@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use fled_core::capture::{MAX_FILES, NAMES};
 
+use super::earlier::Earlier;
 use super::places::Places;
 use super::{Upload, Used, check_name};
 use crate::app::App;
@@ -20,8 +21,9 @@ use crate::http::tus::lock;
 use crate::store::UploadRow;
 
 /// Gathers finished uploads of the visitor, each under its file name, for a capture with these text
-/// fields. They stay unchanged until the capture is stored, and are locked until then: otherwise a
-/// piece still arriving would be written into the capture.
+/// fields, beside the photographs of the capture `add_to`, if any. They stay unchanged until the
+/// capture is stored, and are locked until then: otherwise a piece still arriving would be written
+/// into the capture.
 ///
 /// # Errors
 /// 423 if another request does not release one, 404 if one does not exist or has another owner, 409
@@ -30,10 +32,16 @@ use crate::store::UploadRow;
 pub async fn gather(
     app: &Arc<App>,
     ids: &[String],
+    add_to: Option<&str>,
     fields: BTreeMap<String, String>,
     visitor: &Visitor,
 ) -> Result<Upload, Problem> {
-    check_list(ids)?;
+    let earlier = match add_to {
+        Some(id) => Some(Earlier::of(app, id, visitor).await?),
+        None => None,
+    };
+    let beside = earlier.as_ref().map_or(0, |earlier| earlier.names.len());
+    check_list(ids, beside)?;
     if let Some(name) = fields.get("name") {
         check_name(name)?;
     }
@@ -52,18 +60,18 @@ pub async fn gather(
         dir: dir.map_err(ServerError::io(&incoming))?,
         fields,
         fingerprint: String::new(),
-        files: rows.len(),
+        files: rows.len() + beside,
         most,
         used: Used { ids: ids.to_vec(), bytes, locks },
     };
     let (app, dir) = (app.clone(), upload.dir.clone());
-    tokio::task::spawn_blocking(move || link_all(&app, dir.path(), &rows))
-        .await
-        .map_err(|_| Problem::internal())??;
+    let linked = move || link_all(&app, dir.path(), earlier.as_ref(), &rows);
+    tokio::task::spawn_blocking(linked).await.map_err(|_| Problem::internal())??;
     Ok(upload)
 }
 
-fn check_list(ids: &[String]) -> Result<(), Problem> {
+/// Checks the listed uploads, used with `beside` other files.
+fn check_list(ids: &[String], beside: usize) -> Result<(), Problem> {
     let refused = |detail: &str, pointer: &str| {
         Err(Problem::unprocessable("bad_input", detail)
             .pointer(pointer)
@@ -72,7 +80,7 @@ fn check_list(ids: &[String]) -> Result<(), Problem> {
     if ids.is_empty() {
         return refused("No upload is listed.", "/uploads");
     }
-    if ids.len() > MAX_FILES {
+    if ids.len() + beside > MAX_FILES {
         return Err(too_large(&format!("More than {MAX_FILES} files.")));
     }
     let mut seen = HashSet::new();
@@ -104,9 +112,17 @@ async fn lock_all(app: &App, ids: &[String]) -> Result<Vec<UploadLock>, Problem>
     Ok(locks)
 }
 
-/// Links every file into `dir`, under its upload's file name.
-fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
+/// Links every file into `dir`, under its upload's file name, after those of an `earlier` capture.
+fn link_all(
+    app: &App,
+    dir: &Path,
+    earlier: Option<&Earlier>,
+    rows: &[UploadRow],
+) -> Result<(), Problem> {
     let mut places = Places::default();
+    if let Some(earlier) = earlier {
+        earlier.link_into(app, dir, &mut places)?;
+    }
     for (at, row) in rows.iter().enumerate() {
         let from = app.data.upload(&row.id);
         let bytes = match fs::metadata(&from) {
@@ -133,7 +149,7 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
 }
 
 /// Hard-links a file.
-fn link(from: &Path, to: &Path) -> io::Result<()> {
+pub(super) fn link(from: &Path, to: &Path) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }

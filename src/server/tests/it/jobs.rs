@@ -98,6 +98,24 @@ fn a_permanent_failure_is_reported_at_once_with_a_hint() {
 }
 
 #[test]
+fn a_job_with_too_little_overlap_tells_which_photographs_match() {
+    let server = Server::start();
+    let job = server.job("apart");
+    let failed = server.wait_state(&job, "failed");
+    let overlap = &failed["overlap"];
+    let groups = overlap["groups"].as_array().expect("groups");
+    assert!(groups[0].as_array().is_some_and(|group| group.len() == 4), "{overlap}");
+    let link = json!({ "first": groups[0][0], "second": groups[0][1], "matches": 240 });
+    assert_eq!((&overlap["links"][0], &overlap["least_matches"]), (&link, &30.into()));
+    let listed = server.get("/v1/jobs", &[]).expect(200).json();
+    assert!(listed["jobs"][0].get("overlap").is_none(), "lists stay small");
+    server.post_json(&format!("/v1/jobs/{job}/retry"), &json!({}), &[]).expect(202);
+    server.wait_state(&job, "failed");
+    let other = server.job("few_poses");
+    assert!(server.wait_state(&other, "failed").get("overlap").is_none());
+}
+
+#[test]
 fn a_job_fails_after_three_crashes_without_progress() {
     let server = Server::start();
     let once = server.job("crash-once");

@@ -89,6 +89,55 @@ fn a_resumable_upload_of_a_zip_becomes_a_capture() {
 }
 
 #[test]
+fn photographs_are_added_to_those_of_a_capture_which_stays_as_it_is() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let content: Vec<(String, Vec<u8>)> =
+        (0..3).map(|i| (format!("walk/{i:03}.png"), photograph(i))).collect();
+    let content: Vec<_> = content.iter().map(|(name, bytes)| (&**name, bytes.clone())).collect();
+    let archive = tus.upload("walk.zip", &zip(&content));
+    let captures = server.data.path().join("data/captures");
+    for of in [uploads(&tus, 3), vec![archive]] {
+        let order = json!({ "uploads": of });
+        let first = server.post_json("/v1/captures", &order, &[]).expect(201).json();
+        let first = first["id"].as_str().expect("id");
+        let [more, same] =
+            [("003.png", 3), ("000.png", 4)].map(|(name, i)| tus.upload(name, &photograph(i)));
+        let order = json!({ "uploads": [more, same], "add_to": first });
+        let both = server.post_json("/v1/captures", &order, &[]).expect(201).json();
+        assert_eq!(both["accepted"], 5, "{both}");
+        let images = captures.join(both["id"].as_str().expect("id")).join("images");
+        let held = names(&images).into_iter().map(|name| fs::read(images.join(name)));
+        let mut held: Vec<_> = held.collect::<Result<_, _>>().expect("readable");
+        let mut expected: Vec<_> = (0..5).map(photograph).collect();
+        held.sort();
+        expected.sort();
+        assert!(held == expected, "each photograph once: {}", held.len());
+        let first = server.get(&format!("/v1/captures/{first}"), &[]).expect(200).json();
+        assert_eq!(first["accepted"], 3);
+    }
+}
+
+#[test]
+fn photographs_are_added_to_own_captures_alone() {
+    let server = Server::start();
+    let [anna, bert] = ["anna", "bert"].map(|name| token_of(name, &server, USER).0);
+    let order = |tus: &Tus<'_>| json!({ "uploads": uploads(tus, 3) });
+    let ours = order(&Tus::of(&server, &anna));
+    let headers = [("authorization", anna.as_str())];
+    let capture = server.post_json("/v1/captures", &ours, &headers).expect(201).json();
+    for id in [capture["id"].clone(), "none".into(), "../captures".into()] {
+        let mut order = order(&Tus::of(&server, &bert));
+        order["add_to"] = id;
+        for path in ["/v1/captures", "/v1/jobs"] {
+            let headers = [("authorization", bert.as_str())];
+            let refused = server.post_json(path, &order, &headers).expect(404).json();
+            assert_eq!(refused["pointer"], "/add_to");
+        }
+    }
+}
+
+#[test]
 fn uploads_become_at_most_one_job_per_key() {
     let server = Server::start();
     let tus = Tus::new(&server);
