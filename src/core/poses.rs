@@ -51,6 +51,8 @@ pub struct PoseRequest<'a> {
     pub seed: u64,
     /// Identifies build and tools: what those of another stamp left in the directory is not used.
     pub stamp: &'a str,
+    /// Files of matches that other searches kept: pairs that they have compared are known.
+    pub earlier: &'a [PathBuf],
 }
 
 /// One photograph whose pose is requested.

@@ -15,7 +15,7 @@ use super::strategies::Mapping;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::matching::{Correspondences, Keeping, Matching, PairMatches, Pairs};
-use crate::poses::PosesError;
+use crate::poses::{PoseRequest, PosesError};
 use crate::run_folder::KEPT_MATCHES;
 
 /// Length of a descriptor in COLMAP's text files. Unused: nothing is matched by descriptors.
@@ -140,7 +140,8 @@ impl Search<'_> {
         };
         let start = Instant::now();
         let file = self.request.work_dir.join(KEPT_MATCHES);
-        let keeping = Some(Keeping { file: &file, stamp: self.request.stamp });
+        let PoseRequest { stamp, earlier, .. } = *self.request;
+        let keeping = Some(Keeping { file: &file, stamp, earlier });
         let mut found =
             matching.matches(&pictures, Pairs::Within, keeping, &mut advance, cancel)?;
         found.retain(|picture, point| !copies.hides(picture, point));

@@ -90,7 +90,13 @@ impl Scene {
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
         tool.poses(
-            &PoseRequest { views: &self.views, work_dir: &self.work_dir(), seed: 1, stamp: "" },
+            &PoseRequest {
+                views: &self.views,
+                work_dir: &self.work_dir(),
+                seed: 1,
+                stamp: "",
+                earlier: &[],
+            },
             sink,
             cancel,
         )
@@ -126,8 +132,13 @@ fn a_good_model_of_strategy_a_is_used_at_the_originals_size() {
 fn known_poses_are_triangulated_at_the_copies_size() {
     let body = r#"[ $command = point_triangulator ] && model "$out" 10 10; exit 0"#;
     let scene = Scene::new(10, body);
-    let request =
-        PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1, stamp: "" };
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+        stamp: "",
+        earlier: &[],
+    };
     let k =
         crate::camera::Intrinsics { width: 48, height: 32, fx: 50.0, fy: 51.0, cx: 24.0, cy: 16.0 };
     let posed: Vec<PosedView> = (0..9)
@@ -147,8 +158,13 @@ fn known_poses_are_triangulated_at_the_copies_size() {
     assert_eq!(known.images[3].world_to_camera(), posed[3].camera.world_to_camera);
     assert_eq!(known.cameras[3].params, [50.0, 51.0, 24.0, 16.0]);
     let failing = Scene::new(10, "exit 1");
-    let request =
-        PoseRequest { views: &failing.views, work_dir: &failing.work_dir(), seed: 1, stamp: "" };
+    let request = PoseRequest {
+        views: &failing.views,
+        work_dir: &failing.work_dir(),
+        seed: 1,
+        stamp: "",
+        earlier: &[],
+    };
     assert!(
         failing.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).is_err()
     );

@@ -31,17 +31,20 @@ pub(super) type Key = [u8; HASH];
 pub(super) struct KeptMatches {
     known: Mutex<HashMap<Key, Matches>>,
     file: Option<(PathBuf, File)>,
+    /// Those in the files of other searches.
+    lent: HashMap<Key, Matches>,
 }
 
 impl KeptMatches {
     /// The matches in the file of an interrupted search by the matcher that `describe` describes.
-    /// A record that was being written when it ended is left out.
+    /// A record that was being written when it ended is left out. Files of other searches that
+    /// cannot be read have been removed by whoever clears the cache.
     ///
     /// # Errors
     /// [`PosesError::Io`].
     pub fn open(keeping: Option<Keeping<'_>>, describe: &str) -> Result<Self, PosesError> {
-        let Some(Keeping { file: path, stamp }) = keeping else {
-            return Ok(Self { known: Mutex::default(), file: None });
+        let Some(Keeping { file: path, stamp, earlier }) = keeping else {
+            return Ok(Self { known: Mutex::default(), file: None, lent: HashMap::new() });
         };
         let mut head = blake3::Hasher::new();
         head.update(blake3::hash(stamp.as_bytes()).as_bytes()).update(describe.as_bytes());
@@ -52,20 +55,28 @@ impl KeptMatches {
             bytes => bytes.map_err(io)?,
         };
         let mut known = HashMap::new();
-        let mut valid = 0;
-        if let Some(mut rest) = bytes.strip_prefix(head.as_bytes()) {
-            while let Some((key, matches, after)) = record(rest) {
-                known.insert(key, matches);
-                rest = after;
-            }
-            valid = bytes.len() - rest.len();
+        let valid = records(&bytes, head.as_bytes(), &mut known);
+        let mut lent = HashMap::new();
+        for bytes in earlier.iter().filter_map(|path| std::fs::read(path).ok()) {
+            records(&bytes, head.as_bytes(), &mut lent);
         }
         let mut file = OpenOptions::new().create(true).append(true).open(path).map_err(io)?;
         file.set_len(valid as u64).map_err(io)?;
         if valid == 0 {
             file.write_all(head.as_bytes()).map_err(io)?;
         }
-        Ok(Self { known: Mutex::new(known), file: Some((path.to_owned(), file)) })
+        Ok(Self { known: Mutex::new(known), file: Some((path.to_owned(), file)), lent })
+    }
+
+    /// Takes over the matches of a pair that another search has kept, and keeps them.
+    ///
+    /// # Errors
+    /// [`PosesError::Io`].
+    pub fn take_over(&self, key: &Key) -> Result<(), PosesError> {
+        match self.lent.get(key) {
+            Some(matches) if !self.has(key) => self.keep(*key, matches.clone()),
+            _ => Ok(()),
+        }
     }
 
     /// Whether the matches of a pair are known.
@@ -132,6 +143,19 @@ fn bytes(key: &Key, matches: &Matches) -> Vec<u8> {
     bytes
 }
 
+/// Reads the records of a file that has this head up to the first incomplete one, and returns the
+/// bytes that they and the head take; 0 if the head is another.
+fn records(bytes: &[u8], head: &[u8], into: &mut HashMap<Key, Matches>) -> usize {
+    let Some(mut rest) = bytes.strip_prefix(head) else {
+        return 0;
+    };
+    while let Some((key, matches, after)) = record(rest) {
+        into.insert(key, matches);
+        rest = after;
+    }
+    bytes.len() - rest.len()
+}
+
 /// The first record of `bytes`, and the bytes after it; `None` if it is incomplete.
 fn record(bytes: &[u8]) -> Option<(Key, Matches, &[u8])> {
     let (key, rest) = bytes.split_first_chunk::<HASH>()?;
@@ -157,7 +181,7 @@ mod tests {
     use super::*;
 
     fn open(file: &Path, stamp: &str, describe: &str) -> KeptMatches {
-        KeptMatches::open(Some(Keeping { file, stamp }), describe).expect("opened")
+        KeptMatches::open(Some(Keeping { file, stamp, earlier: &[] }), describe).expect("opened")
     }
 
     const KEYS: [Key; 3] = [[1; HASH], [2; HASH], [3; HASH]];
@@ -192,6 +216,24 @@ mod tests {
             assert_eq!(kept.get(&KEYS[1]), None);
             std::fs::remove_file(&file).expect("removed");
         }
+    }
+
+    #[test]
+    fn matches_of_another_search_are_taken_over_by_the_same_build_only() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let [other, file] = ["other", "own"].map(|name| folder.path().join(name));
+        filled(&other);
+        let earlier = [folder.path().join("gone"), other.clone()];
+        let before = std::fs::read(&other).expect("there");
+        for (stamp, is_known) in [("other", false), ("build", true)] {
+            let keeping = Keeping { file: &file, stamp, earlier: &earlier };
+            let kept = KeptMatches::open(Some(keeping), "networks").expect("opened");
+            assert_eq!(known(&kept), [false; 3], "only pairs that are asked for");
+            kept.take_over(&KEYS[0]).expect("written");
+            assert_eq!(known(&kept), [is_known, false, false], "{stamp}");
+        }
+        assert_eq!(known(&open(&file, "build", "networks")), [true, false, false], "and kept");
+        assert!(std::fs::read(&other).expect("there") == before);
     }
 
     #[test]

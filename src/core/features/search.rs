@@ -237,6 +237,7 @@ impl Matching for LearnedMatching {
             kept::key(&prints[first], &prints[second], self.options.neighbours)
         };
         let keys: Vec<_> = candidates.iter().map(|pair| key(*pair)).collect();
+        keys.iter().try_for_each(|key| kept.take_over(key))?;
         let pairs = candidates.iter().zip(&keys);
         let missing: Vec<_> = pairs.clone().filter(|(_, key)| !kept.has(key)).collect();
         let total = (pictures.len() + candidates.len()) as u64;

@@ -202,7 +202,7 @@ fn search(
             cancel.cancel();
         }
     };
-    let keeping = Some(Keeping { file, stamp: "build" });
+    let keeping = Some(Keeping { file, stamp: "build", earlier: &[] });
     let found = matching().matches(pictures, Pairs::Within, keeping, &mut advance, &cancel);
     (found, progress)
 }

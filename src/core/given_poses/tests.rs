@@ -67,7 +67,13 @@ impl Capture {
     }
 
     fn request(&self) -> PoseRequest<'_> {
-        PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3, stamp: "" }
+        PoseRequest {
+            views: &self.views,
+            work_dir: self.dir.path(),
+            seed: 3,
+            stamp: "",
+            earlier: &[],
+        }
     }
 
     /// The true cameras as `poses_bounds.npy`.

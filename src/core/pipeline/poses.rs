@@ -5,7 +5,8 @@ mod deblurred;
 mod request;
 
 use std::fs::File;
-use std::path::PathBuf;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use deblurred::STRATEGY;
@@ -22,9 +23,16 @@ use crate::camera::normalisation::Normalisation;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
 use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words, svg};
+use crate::run_folder::KEPT_MATCHES;
 
 /// Name of the folder in the cache that keeps poses, a file for each set of dependencies.
 pub const CACHED: &str = "poses";
+
+/// Extension of the files of matches in the same folder.
+const MATCHES: &str = "matches";
+
+/// Number of these files that are read, each of up to some megabytes.
+const MOST_FILES: usize = 16;
 
 /// The stage: the poses, once, and what the user should know about them.
 ///
@@ -64,7 +72,7 @@ pub fn poses(
         &depends_on.first,
         |workspace| workspace.read_json(&path).filter(serves),
         |context| {
-            let poses = find(context, capture, tools, &depends_on)?;
+            let poses = find(context, capture, tools, &cache)?;
             context.workspace.write_json(&path, &poses)?;
             Ok(poses)
         },
@@ -129,6 +137,34 @@ impl Cache<'_> {
         // The cache may be another user's, who keeps the time.
         let _ = used.and_then(|file| file.set_modified(SystemTime::now()));
         Ok(())
+    }
+}
+
+impl Cache<'_> {
+    /// The files of matches that searches kept, the newest first.
+    fn matches(&self) -> Vec<PathBuf> {
+        let entries = self.folder.iter().filter_map(|folder| std::fs::read_dir(folder).ok());
+        let mut files: Vec<(SystemTime, PathBuf)> = entries
+            .flatten()
+            .flatten()
+            .filter(|entry| entry.path().extension().is_some_and(|end| end == MATCHES))
+            .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+            .collect();
+        files.sort_by(|one, other| other.cmp(one));
+        files.into_iter().take(MOST_FILES).map(|(_, path)| path).collect()
+    }
+
+    /// Keeps the matches of a search, of whatever outcome, for captures that share photographs.
+    fn keep_matches(&self, workspace: &Workspace, kept: &Path) -> Result<(), PipelineError> {
+        let Some(file) = self.file(&self.depends_on.first) else {
+            return Ok(());
+        };
+        match std::fs::read(kept) {
+            // Poses were given, or there are no networks.
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            Err(error) => Err(PipelineError::io(kept, error)),
+            Ok(bytes) => workspace.write(&file.with_extension(MATCHES), &bytes),
+        }
     }
 }
 
@@ -208,12 +244,15 @@ fn find(
     context: &mut Context<'_>,
     capture: &Capture,
     tools: &mut Tools<'_>,
-    depends_on: &PosesDependencies,
+    cache: &Cache<'_>,
 ) -> Result<Poses, PipelineError> {
+    let depends_on = cache.depends_on;
     let options = depends_on.first.options();
     let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
     let work = context.workspace.folder().work();
-    let first = ask(context, tools, &views, &work.poses(), options.seed);
+    let earlier = cache.matches();
+    let first = ask(context, tools, &views, &work.poses(), &earlier, options.seed);
+    cache.keep_matches(context.workspace, &work.poses().join(KEPT_MATCHES))?;
     let given = capture.poses.is_some() && options.pose_source != PoseSource::Colmap;
     let is_weak = match &first {
         Ok(poses) => poses.low_confidence,

@@ -21,6 +21,8 @@ pub struct Keeping<'a> {
     pub file: &'a Path,
     /// Identifies the build: matches of another one are not used.
     pub stamp: &'a str,
+    /// Files of other searches, which are only read.
+    pub earlier: &'a [PathBuf],
 }
 
 /// Finds key points and their matches in photographs.

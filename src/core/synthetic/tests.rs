@@ -55,7 +55,8 @@ fn every_layout_round_trips_with_truth_and_cameras() {
         assert!(capture.views.iter().all(|view| view.gt.is_some()), "{layout:?}");
         let given = GivenSfm::new(capture.poses.as_ref().unwrap()).unwrap();
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-        let request = PoseRequest { views: &views, work_dir: dir.path(), seed: 0, stamp: "" };
+        let request =
+            PoseRequest { views: &views, work_dir: dir.path(), seed: 0, stamp: "", earlier: &[] };
         let poses = given.poses(&request, &mut Silent, &CancelToken::default());
         let poses = poses.unwrap();
         assert_eq!(poses.views.len(), 3, "{layout:?}");

@@ -116,7 +116,8 @@ impl Truth {
         let no_poses = || EvaluationError::NoPoses { path: folder.to_owned() };
         let given = capture.poses.as_ref().ok_or_else(no_poses)?;
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-        let request = PoseRequest { views: &views, work_dir: scratch, seed: 0, stamp: "" };
+        let request =
+            PoseRequest { views: &views, work_dir: scratch, seed: 0, stamp: "", earlier: &[] };
         let poses = GivenSfm::new(given)
             .and_then(|given| given.poses(&request, &mut Silent, &CancelToken::default()))
             .map_err(PipelineError::from)?;

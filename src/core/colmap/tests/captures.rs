@@ -18,7 +18,7 @@ fn stem(file: &Path) -> String {
 /// reason if not.
 fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
     let work = tempfile::tempdir().unwrap();
-    let request = PoseRequest { views, work_dir: work.path(), seed: 0, stamp: "" };
+    let request = PoseRequest { views, work_dir: work.path(), seed: 0, stamp: "", earlier: &[] };
     let poses = ColmapCli::default()
         .poses(&request, &mut Silent, &CancelToken::new())
         .map_err(|error| error.to_string())?;

@@ -280,8 +280,13 @@ fn refined_by(
     sink: &mut dyn ProgressSink,
 ) -> Result<Option<Poses>, PosesError> {
     let tool = scene.tool().with_matching(Arc::new(matching));
-    let request =
-        PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1, stamp: "" };
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+        stamp: "",
+        earlier: &[],
+    };
     tool.refine(&request, given, sink, &CancelToken::new())
 }
 
@@ -332,8 +337,13 @@ fn given_poses_are_kept_if_they_fit_as_well_or_cannot_be_checked() {
     };
     let found = refined_by(&nothing, &rough, in_order(), &mut sink).unwrap();
     assert_eq!((found, &*codes), (None, &["poses_unrefined".to_owned()][..]));
-    let request =
-        PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1, stamp: "" };
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+        stamp: "",
+        earlier: &[],
+    };
     let without = scene.tool().refine(&request, &rough, &mut Silent, &CancelToken::new());
     assert_eq!(without.unwrap(), None, "no networks");
 }

@@ -54,7 +54,7 @@ pub fn poses(
         }
     };
     let mut again = Context::new(context.workspace, &mut sink, context.cancel);
-    let found = match ask(&mut again, tools, &copies, &folder.join("colmap"), seed) {
+    let found = match ask(&mut again, tools, &copies, &folder.join("colmap"), &[], seed) {
         Ok(found) => found,
         Err(error) => return Ok(Err(error)),
     };

@@ -215,6 +215,39 @@ fn cached_poses_are_as_young_as_their_last_use() {
 }
 
 #[test]
+fn the_newest_matches_of_earlier_searches_are_found() {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
+    let networks = Networks { deblur: Identity.describe(), enhance: None };
+    let folder = home.path().join(CACHED);
+    let of = |capture: usize| {
+        let capture = capture.to_string();
+        PosesDependencies::new(&Options::default(), &capture, "source", &networks)
+    };
+    let kept = home.path().join("kept");
+    let now = SystemTime::now();
+    let mut expected = Vec::new();
+    for capture in 0..MOST_FILES + 2 {
+        let depends_on = of(capture);
+        let cache = Cache { folder: Some(folder.clone()), depends_on: &depends_on };
+        cache.keep_matches(&workspace, &home.path().join("none")).expect("nothing to keep");
+        std::fs::write(&kept, capture.to_string()).expect("written");
+        cache.keep_matches(&workspace, &kept).expect("kept");
+        cache.write(&workspace, &placed(18, false, 'A')).expect("written");
+        let file = cache.file(&depends_on.first).expect("a cache").with_extension(MATCHES);
+        let opened = File::options().write(true).open(&file).expect("opened");
+        let age = std::time::Duration::from_secs(100 - capture as u64);
+        opened.set_modified(now - age).expect("set");
+        expected.insert(0, file);
+    }
+    let depends_on = of(0);
+    let cache = Cache { folder: Some(folder), depends_on: &depends_on };
+    assert_eq!(cache.matches(), expected[..MOST_FILES]);
+    let none = Cache { folder: None, depends_on: &depends_on };
+    assert!(none.matches().is_empty());
+}
+
+#[test]
 fn photographs_without_a_pose_and_doubtful_poses_are_reported_once_with_names_and_figures() {
     let mut warnings = Vec::new();
     let mut sink = |event: &Event| {

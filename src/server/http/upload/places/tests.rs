@@ -118,7 +118,13 @@ fn model(
 
 fn given(capture: &Capture) -> Result<Poses, PosesError> {
     let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
-    let request = PoseRequest { views: &views, work_dir: Path::new("unused"), seed: 0, stamp: "" };
+    let request = PoseRequest {
+        views: &views,
+        work_dir: Path::new("unused"),
+        seed: 0,
+        stamp: "",
+        earlier: &[],
+    };
     let given = GivenSfm::new(capture.poses.as_ref().expect("poses"))?;
     given.poses(&request, &mut Silent, &CancelToken::new())
 }
