@@ -1,11 +1,12 @@
 // Chooses the page by the address after `#` and keeps one page alive at a time. The list of jobs
-// opens first; the modules of the other pages load after it, or when their page is opened.
+// opens first; the modules of another page load when it is opened, or about to be.
 
 import { nothing } from "./lib/dom.js";
 import { listPage } from "./pages/list.js";
 import { areWorkers, readiness } from "./lib/machine.js";
 import { loginPage, seesAll, session } from "./lib/login.js";
-import { link, openLink } from "./pages/visitor.js";
+import { preload } from "./lib/modules.js";
+import { shareOf } from "./lib/place.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
@@ -34,6 +35,11 @@ async function loadJob() {
   const { jobPage } = await import("./job/job.js");
   return (main, id) => jobPage(main, who, id);
 }
+/** @type {(shared: [string, string]) => () => Promise<Page>} */
+const loadVisitor = (shared) => async () => {
+  const { openLink } = await import("./pages/visitor.js");
+  return (main) => openLink(main, shared, enter);
+};
 /** @type {() => Promise<Page>} */
 const loadCapture = async () => (await import("./pages/capture.js")).capturePage;
 
@@ -55,13 +61,6 @@ const ROUTES = [
   [/^#\/api$/, async () => (await import("./pages/reference.js")).referencePage, "pages/reference.js"],
 ];
 
-/** Fetches the imports of the page of `module`, or those of all pages, in parallel. */
-function preload(module) {
-  for (const link of /** @type {NodeListOf<HTMLLinkElement>} */ (document.querySelectorAll("link[data-of]"))) {
-    if (module === undefined || link.dataset.of.split(" ").includes(module)) link.rel = "modulepreload";
-  }
-}
-
 function route() {
   leave();
   leave = none;
@@ -75,9 +74,9 @@ function route() {
     if (here) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");
   }
-  const shared = link(location.hash);
+  const shared = shareOf(location.hash);
   if (shared) {
-    leave = openLink(main, shared, enter);
+    show(loadVisitor(shared), "pages/visitor.js", []);
   } else if (isLockedOut && location.hash !== "#/api") {
     leave = loginPage(main, enter);
   } else if (who.job !== null && location.hash !== "#/api") {
@@ -109,7 +108,14 @@ async function show(load, module, found) {
     return;
   }
   if (mine === opened) leave = page(main, ...found);
-  setTimeout(preload, REST_MS);
+}
+
+/** Fetches the modules of a page whose link a pointer or the focus has reached. */
+function expect(event) {
+  const target = /** @type {Element} */ (event.target).closest?.("a[href^='#/']");
+  const [path] = target?.getAttribute("href").split("?") ?? [""];
+  const [, , module] = (target && ROUTES.find(([pattern]) => pattern.test(path))) ?? [];
+  if (module) preload(module);
 }
 
 /** Finds out whether this browser may see anything. */
@@ -143,7 +149,7 @@ async function linkWorkers() {
 
 /** Checks the session, which may end, or change in another tab, while a page is open. */
 async function stay() {
-  if (link(location.hash)) return;
+  if (shareOf(location.hash)) return;
   const before = `${isLockedOut} ${who.scopes} ${who.job}`;
   isLockedOut = await look();
   if (`${isLockedOut} ${who.scopes} ${who.job}` !== before) route();
@@ -157,8 +163,6 @@ logout.addEventListener("click", async () => {
 
 /** Interval and timeout of the server check, so that an outage shows within 5 s. */
 const ALIVE_MS = 2400;
-/** Delay after showing a page before the modules of the others load. */
-const REST_MS = 1500;
 const place = document.getElementById("health");
 let isThere = true;
 
@@ -203,6 +207,7 @@ for (const name of /** @type {const} */ (["dragover", "drop"])) {
     event.dataTransfer.dropEffect = "none";
   });
 }
+for (const name of ["pointerover", "focusin"]) addEventListener(name, expect);
 addEventListener("hashchange", route);
 enter();
 health();

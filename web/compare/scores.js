@@ -3,7 +3,7 @@
 import { chart } from "../lib/chart.js";
 import { h, plain } from "../lib/dom.js";
 import { called, tag } from "./entries.js";
-import { agreement, hasTruth, recordOf } from "../job/metrics.js";
+import { agreement, hasTruth, recordOf } from "../job/records.js";
 import { METRICS, direction } from "../lib/words.js";
 
 const IMAGES = [

@@ -2,14 +2,9 @@
 
 import { chart } from "../lib/chart.js";
 import { duration, fold, h, plain } from "../lib/dom.js";
+import { agreement, hasTruth, recordOf } from "./records.js";
 import { staticTable } from "../lib/table.js";
 import { METRICS, meanings } from "../lib/words.js";
-
-/** Whether the capture has ground truth; only that measures quality. */
-export const hasTruth = (rounds) => rounds.some((round) => round.records.some(({ reference }) => reference === "gt"));
-
-/** The references that make rounds comparable, at the run's target brightness. */
-const REFERENCE = { true: "gt", false: "enhanced" };
 
 export function metricCharts(rounds) {
   const isTruth = hasTruth(rounds);
@@ -32,9 +27,6 @@ export function metricCharts(rounds) {
   ].filter(Boolean);
 }
 
-/** The score that compares rounds, dB; `undefined` in older reports, which had an SSIM. */
-export const agreement = ({ score }) => (score > 1 ? score : undefined);
-
 function series(rounds, isTruth) {
   const found = [];
   for (const [colour, image, label] of [[0, "render", "rendered"], [1, "deblurred", "deblurred"], [2, "enhanced", "enhanced only"]]) {
@@ -48,10 +40,6 @@ function series(rounds, isTruth) {
   }
   return found;
 }
-
-/** A round's comparable scores of one kind of picture; `undefined` if there are none. */
-export const recordOf = ({ records }, { image, split }, isTruth) => records.find((record) =>
-  record.image === image && record.split === split && record.brightness === "final" && record.reference === REFERENCE[isTruth]);
 
 const COLUMNS = ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Render noise", "Shake, px", "Camera correction, px", "Note"]
   .map((title) => ({ title }));

@@ -1,7 +1,7 @@
 // The verdict on a finished job in plain words: its gain, what was found, and what was done.
 
 import { count } from "../lib/dom.js";
-import { agreement, hasTruth, recordOf } from "./metrics.js";
+import { agreement, hasTruth, recordOf } from "./records.js";
 
 /** Every threshold of the verdict. */
 export const LIMITS = {

@@ -7,6 +7,15 @@ export const MOST_COMPARED = 6;
 /** The address of a comparison. */
 export const comparisonOf = (ids) => `#/compare/${ids.map(encodeURIComponent).join(",")}`;
 
+/**
+ * The job and the secret in the address of a shared job, `#/share/JOB/SECRET`; `null` for others.
+ * @returns {[string, string] | null}
+ */
+export function shareOf(hash) {
+  const found = hash.match(/^#\/share\/([0-9a-f-]+)\/(fled_[0-9a-f]+)$/);
+  return found && [found[1], found[2]];
+}
+
 /** The state in the address. */
 export const asked = () => new URLSearchParams(location.hash.split("?")[1] ?? "");
 

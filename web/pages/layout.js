@@ -1,11 +1,14 @@
 // Jobs as cards or as a table: a choice that the browser remembers.
 
 import { h } from "../lib/dom.js";
-import { gallery } from "./gallery.js";
-import { jobTable } from "./jobs.js";
+import { preload } from "../lib/modules.js";
 
 const KEY = "fled list";
-const KINDS = { cards: gallery, table: jobTable };
+/** The modules are not needed to start a job, so they load after the form. */
+const KINDS = {
+  cards: { module: "pages/gallery.js", load: async () => (await import("./gallery.js")).gallery },
+  table: { module: "pages/jobs.js", load: async () => (await import("./jobs.js")).jobTable },
+};
 
 /** The remembered kind, cards at first. If the browser refuses storage, nothing is remembered. */
 function remembered() {
@@ -23,14 +26,11 @@ function remember(kind) {
   } catch { /* It lasts until the page is left. */ }
 }
 
-/**
- * A list of jobs like `jobTable`, with `choice`, the buttons that switch its layout. `redraw` is
- * called to fill a new layout.
- */
-export function jobsIn(refresh, redraw) {
+/** A list of jobs like `jobTable`, with `choice`, the buttons that switch its layout. */
+export function jobsIn(refresh) {
   let kind = remembered();
-  let shown = KINDS[kind](refresh);
-  const root = h("div", {}, shown.root);
+  let [shown, last, gone] = [null, null, false];
+  const root = h("div");
   const buttons = Object.keys(KINDS).map((value) =>
     h("button", { type: "button", value, onclick: () => change(value) }, `${value[0].toUpperCase()}${value.slice(1)}`));
   const choice = h("div", { class: "row quick", role: "group", "aria-label": "Layout" }, buttons);
@@ -38,22 +38,38 @@ export function jobsIn(refresh, redraw) {
     for (const button of buttons) button.setAttribute("aria-pressed", String(button.value === kind));
   };
 
+  async function open() {
+    const [asked, { module, load }] = [kind, KINDS[kind]];
+    preload(module);
+    const make = await load().catch(() => null);
+    if (gone || asked !== kind) return;
+    shown?.leave();
+    shown = make?.(refresh);
+    const lost = "The server did not send this list. Reload once it responds again.";
+    root.replaceChildren(shown?.root ?? h("p", { class: "problem", role: "alert" }, lost));
+    if (last) shown?.update(...last);
+  }
+
   function change(to) {
     if (to === kind) return;
-    shown.leave();
     kind = to;
     remember(kind);
-    shown = KINDS[kind](refresh);
-    root.replaceChildren(shown.root);
     press();
-    redraw();
+    open();
   }
 
   press();
+  open();
   return {
     root,
     choice,
-    update: (jobs, known) => shown.update(jobs, known),
-    leave: () => shown.leave(),
+    update(jobs, known) {
+      last = [jobs, known];
+      shown?.update(...last);
+    },
+    leave() {
+      gone = true;
+      shown?.leave();
+    },
   };
 }

@@ -110,7 +110,7 @@ function searched(found, { jobs, isAll }, { q, state, preset }) {
 export function listPage(main) {
   // Loaded only if shown: a reload would fetch a hidden image, lazy or not.
   const example = h("img", { alt: "", width: 804, height: 225 });
-  const jobs = jobsIn(() => refresh(), () => draw());
+  const jobs = jobsIn(() => refresh());
   const empty = h(
     "div",
     { class: "example", hidden: true },

@@ -4,15 +4,6 @@ import { ask } from "../lib/dialog.js";
 import { api, h } from "../lib/dom.js";
 import { session } from "../lib/login.js";
 
-/**
- * The job and the secret in such an address; `null` for other addresses.
- * @returns {[string, string] | null}
- */
-export function link(hash) {
-  const found = hash.match(/^#\/share\/([0-9a-f-]+)\/(fled_[0-9a-f]+)$/);
-  return found && [found[1], found[2]];
-}
-
 /** Opens the job of a link, then shows its page; `enter` reads the session again. */
 export function openLink(main, [job, secret], enter) {
   const line = h("p", { class: "hint", role: "status" }, "Opening the job…");

@@ -68,7 +68,8 @@ fn page(html: &str, script: &str) -> String {
     let modules = imported(script);
     let first = modules.iter().map(|name| format!("rel=\"modulepreload\" href=\"{base}{name}\""));
     let mut later: BTreeMap<String, Vec<String>> = BTreeMap::new();
-    for part in imported_later(script) {
+    let parts: BTreeSet<String> = modules.iter().flat_map(|name| imported_later(name)).collect();
+    for part in parts {
         for name in imported(&part).into_iter().filter(|name| !modules.contains(name)) {
             later.entry(name).or_default().push(part.clone());
         }
@@ -80,7 +81,7 @@ fn page(html: &str, script: &str) -> String {
     html.replace("assets/", &base).replace("</head>", &format!("{links}</head>"))
 }
 
-/// The modules that `script` imports on demand.
+/// What the module `script` imports on demand.
 fn imported_later(script: &str) -> BTreeSet<String> {
     let text = Web::get(script).map(|file| file.data).unwrap_or_default();
     let text = String::from_utf8_lossy(&text);
@@ -208,6 +209,7 @@ mod tests {
             page.contains(&format!("<link data-of=\"{of}\" href=\"{base}{name}\">"))
         };
         assert!(named("job/job.js", "job/views.js"), "{page}");
+        assert!(named("pages/gallery.js", "pages/gallery.js"), "imported by pages/layout.js");
         assert!(named("compare/compare.js job/job.js", "lib/split.js"), "{page}");
         assert!(!page.contains("scene/view.js"), "loaded once a scene is opened");
     }
