@@ -3,6 +3,7 @@
 //! Connections break, so every request is repeated until it is answered. A request counts as done
 //! if it took effect but its answer was lost.
 
+mod begun;
 pub mod cancel;
 pub mod fetch;
 mod pieces;

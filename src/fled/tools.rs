@@ -141,7 +141,7 @@ impl Args {
         match &self.cache {
             Some(path) if path == Path::new("none") => None,
             Some(path) => Some(path.clone()),
-            None => home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled")),
+            None => cache_home(),
         }
     }
 }
@@ -154,6 +154,11 @@ fn beside_checkout(program: &Path, name: &str) -> impl Iterator<Item = PathBuf> 
 
 fn data_home() -> Option<PathBuf> {
     home(".local/share", "XDG_DATA_HOME")
+}
+
+/// The user's folder for what can be made again.
+pub fn cache_home() -> Option<PathBuf> {
+    home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled"))
 }
 
 fn home(below: &str, variable: &str) -> Option<PathBuf> {

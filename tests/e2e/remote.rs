@@ -3,10 +3,11 @@
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::Path;
-use std::process::Output;
+use std::process::{Command, Output};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::thread::spawn;
+use std::thread::{sleep, spawn};
+use std::time::Duration;
 
 use crate::service::Server;
 use crate::support::{code, fled, json, said, small_capture, succeed};
@@ -63,14 +64,52 @@ fn pass([mut from, mut to]: [TcpStream; 2], left: &AtomicU64, cuts: &AtomicUsize
 }
 
 fn submit(capture: &Path, server: &str, token: &str, out: &Path) -> Output {
+    let mut command = submission(capture, server, token);
+    command.arg("--out").arg(out).output().expect("the binary starts")
+}
+
+fn submission(capture: &Path, server: &str, token: &str) -> Command {
     let mut command = fled();
     command.arg("submit").arg(capture).args(["--server", server]);
     command.args(["--preset", "preview", "--name", "a place", "--patience", "60"]);
     for set in ["size=96", "steps=40", "cap=800", "rounds=1", "pose_source=given"] {
         command.args(["--set", set]);
     }
-    command.arg("--out").arg(out).env("FLED_TOKEN", token);
-    command.output().expect("the binary starts")
+    command.env("FLED_TOKEN", token);
+    command
+}
+
+#[test]
+fn a_second_command_continues_a_submission_that_was_killed() {
+    let server = Server::start();
+    let capture = small_capture(server.folder.path());
+    let proxy = Proxy::new(&server.base, 60_000, u64::MAX);
+    let home = server.folder.path().join("home");
+    let submission = || {
+        let mut command = submission(&capture, &proxy.address, "");
+        command.arg("--detach").env("XDG_CACHE_HOME", &home).env_remove("FLED_TOKEN");
+        command
+    };
+    let mut first = submission().spawn().expect("the binary starts");
+    while proxy.cuts.load(Ordering::SeqCst) == 0 {
+        assert!(first.try_wait().expect("a child").is_none(), "it ended before the connection");
+        sleep(Duration::from_millis(5));
+    }
+    first.kill().expect("killed");
+    first.wait().expect("ended");
+    let kept = |folder: &str| {
+        let folder = server.folder.path().join(folder);
+        std::fs::read_dir(folder).into_iter().flatten().count()
+    };
+    let (begun, expected) = (kept("data/uploads"), kept("home/fled/submissions"));
+    assert!(begun > 0 && expected == 1, "{begun} uploads, {expected} submissions");
+
+    let second = submission().output().expect("the binary starts");
+    assert_eq!(code(&second), 0, "{}", said(&second));
+    assert!(said(&second).contains("continuing an interrupted submission"), "{}", said(&second));
+    assert_eq!((kept("data/uploads"), kept("home/fled/submissions")), (0, 0));
+    let jobs = server.get("/v1/jobs", &[]).expect(200).json();
+    assert_eq!(jobs["jobs"].as_array().map(Vec::len), Some(1), "{jobs:#}");
 }
 
 #[test]

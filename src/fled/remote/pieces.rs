@@ -15,6 +15,7 @@ use ureq::http::request::Builder;
 use ureq::http::{Request, Response, header};
 use ureq::{AsSendBody, Body, SendBody};
 
+use super::begun::Begun;
 use super::{Fault, Remote};
 use crate::failure::{Failure, io as at};
 
@@ -57,38 +58,37 @@ impl Files {
         Ok(Self { files, digest: hasher.finalize() })
     }
 
-    /// Sends all files and returns the ids of their uploads.
+    /// Sends what the service lacks of the files and returns the ids of their uploads, which `begun`
+    /// keeps. All uploads begin before the first byte is sent, so that the service refuses what it
+    /// has no room for.
     ///
     /// # Errors
     /// [`Failure`] with the service's own message, or if a proxy before it refuses even small
     /// pieces.
-    pub fn send(&self, remote: &Remote) -> Result<Vec<String>, Failure> {
+    pub fn send(&self, remote: &Remote, begun: &mut Begun) -> Result<Vec<String>, Failure> {
         let bar = ProgressBar::new(self.files.iter().map(|(.., bytes)| bytes).sum());
         let style = ProgressStyle::with_template(
             "{bar:30} {percent:>3}% sent, {bytes} of {total_bytes} at {binary_bytes_per_sec}",
         );
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-        let mut sender = Sender { remote, bar, most: MOST, begun: Vec::new() };
-        let ids = self.files.iter().map(|(name, path, bytes)| sender.file(name, path, *bytes));
-        let ids: Result<Vec<String>, Failure> = ids.collect();
+        let mut sender = Sender { remote, bar, most: MOST, begun };
+        let ids = sender.all(&self.files);
         sender.bar.finish_and_clear();
-        if ids.is_err() {
-            discard(remote, &sender.begun);
-        }
         ids
     }
 }
 
-/// Deletes uploads that no job uses: a later call sends them again, and they count until they
-/// expire. What cannot be deleted expires.
-pub fn discard(remote: &Remote, ids: &[String]) {
-    for id in ids {
+/// Deletes uploads that no job uses: they count until they expire. If the service does not answer,
+/// they stay, and a second command continues them.
+pub fn discard(remote: &Remote, begun: &mut Begun) {
+    for id in begun.ids() {
         let request = Request::delete(remote.url(&format!("{UPLOADS}/{id}")));
         let answer = remote.send(&remote.patient, request.header(RESUMABLE.0, RESUMABLE.1), ());
         if matches!(answer, Err(Fault::Lost(..) | Fault::Later(..))) {
             return;
         }
     }
+    begun.forget();
 }
 
 /// Sends files one after another.
@@ -98,15 +98,52 @@ struct Sender<'a> {
     /// Bytes of the largest piece that a proxy may accept.
     most: u64,
     /// The uploads begun so far.
-    begun: Vec<String>,
+    begun: &'a mut Begun,
 }
 
 impl Sender<'_> {
-    /// Sends a file of this size and returns the id of its upload.
-    fn file(&mut self, name: &str, path: &Path, bytes: u64) -> Result<String, Failure> {
+    /// Sends files of these names, paths and sizes.
+    fn all(&mut self, files: &[(String, PathBuf, u64)]) -> Result<Vec<String>, Failure> {
+        let remote = self.remote;
+        let mut offsets = Vec::with_capacity(files.len());
+        for (name, _, bytes) in files {
+            offsets.push(remote.persist(|| self.find(name, *bytes))?);
+        }
+        self.begun.keep();
+        let there: u64 = offsets.iter().sum();
+        if there > 0 {
+            eprintln!("continuing an interrupted submission: {there} bytes of it are there");
+        }
+        let sent = files.iter().zip(offsets);
+        sent.map(|((name, path, bytes), offset)| self.file(name, path, *bytes, offset)).collect()
+    }
+
+    /// Begins the upload of a file, unless an earlier command has; returns the bytes that have
+    /// arrived.
+    fn find(&mut self, name: &str, bytes: u64) -> Result<u64, Fault> {
+        if let Some(id) = self.begun.of(name).map(str::to_owned)
+            && let Some(offset) = self.reached(&id)?
+        {
+            return Ok(offset);
+        }
+        self.begin(name, bytes).map(|_| 0)
+    }
+
+    /// Sends a file of this size from `offset` on and returns the id of its upload.
+    fn file(
+        &mut self,
+        name: &str,
+        path: &Path,
+        bytes: u64,
+        mut offset: u64,
+    ) -> Result<String, Failure> {
         let remote = self.remote;
         let before = self.bar.position();
-        let (mut id, mut offset) = (remote.persist(|| self.begin(name, bytes))?, 0);
+        let mut id = match self.begun.of(name) {
+            Some(id) => id.to_owned(),
+            None => remote.persist(|| self.begin(name, bytes))?,
+        };
+        self.bar.set_position(before + offset);
         while offset < bytes {
             let mut is_first = true;
             let reached = remote.persist(|| {
@@ -127,7 +164,10 @@ impl Sender<'_> {
             match reached {
                 Some(reached) => offset = reached,
                 // It expired while the service did not respond.
-                None => (id, offset) = (remote.persist(|| self.begin(name, bytes))?, 0),
+                None => {
+                    (id, offset) = (remote.persist(|| self.begin(name, bytes))?, 0);
+                    self.begun.keep();
+                }
             }
             self.bar.set_position(before + offset);
         }
@@ -143,7 +183,7 @@ impl Sender<'_> {
         let address = answer.headers().get(header::LOCATION).and_then(|value| value.to_str().ok());
         let id = address.and_then(|address| address.rsplit('/').next());
         let id = id.ok_or_else(|| no_service("its answer has no `Location`"))?.to_owned();
-        self.begun.push(id.clone());
+        self.begun.set(name, id.clone());
         Ok(id)
     }
 

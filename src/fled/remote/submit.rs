@@ -9,6 +9,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 use ureq::http::{Request, header};
 
+use super::begun::Begun;
 use super::pieces::{Files, discard};
 use super::retry::assigned;
 use super::{Fault, Remote, fetch, read_json, watch};
@@ -79,10 +80,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         eprintln!("this job was submitted before; use --again to create another");
         job.id
     } else {
-        let uploads = files.send(&remote)?;
-        order.insert("uploads".to_owned(), uploads.clone().into());
-        let created = remote.persist(|| create(&remote, &order, &key));
-        created.inspect_err(|_| discard(&remote, &uploads))?
+        let mut begun = Begun::open(remote.base(), &files.digest);
+        let sent = files.send(&remote, &mut begun).and_then(|uploads| {
+            order.insert("uploads".to_owned(), uploads.into());
+            remote.persist(|| create(&remote, &order, &key))
+        });
+        let created = sent.inspect_err(|_| discard(&remote, &mut begun))?;
+        begun.forget();
+        created
     };
     writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
     if args.detach {
