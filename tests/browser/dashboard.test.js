@@ -9,7 +9,7 @@ import { after, before, test } from "node:test";
 
 import { Browser, PHONE, loaded, overflowing, withoutWebGl } from "./browser.js";
 import { Server } from "./server.js";
-import { PATIENCE, until } from "./until.js";
+import { until } from "./until.js";
 
 // Contains markup, to detect a page that does not escape names.
 const FINISHED = "a finished <b>job</b>";
@@ -98,8 +98,7 @@ test("the sample runs with the preset and options of the form", async () => {
     assert.equal(await paper.isDisabled(), true);
     await form.getByLabel("Preset").selectOption("preview");
     await button(page, "Try a sample").click();
-    // The server renders for some seconds on both cores.
-    await page.waitForURL(/#\/jobs\//, { timeout: 2 * PATIENCE });
+    await page.waitForURL(/#\/jobs\//);
     await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");
     job = await server.job(page.url().split("/").pop());
     assert.deepEqual([job.preset, job.state === "failed"], ["preview", false]);

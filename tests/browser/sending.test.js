@@ -151,3 +151,18 @@ test("a proxy that refuses the smallest pieces is named", () =>
     await seen(page.getByRole("alert"), "A proxy in front of the server refuses even pieces of 512 KiB");
     assert.equal(refused.at(-1), 512 << 10);
   }));
+
+test("the sample opens at once where a job of it has finished", async () => {
+  const id = await stand.job("ok", "Sample: a dark room");
+  await stand.server.reached(id, "succeeded");
+  await stand.visit("sample-ready", "", async (page) => {
+    const made = [];
+    page.on("request", (request) => { if (request.method() === "POST") made.push(request.url()); });
+    await page.getByText("a dark room").first().waitFor();
+    await page.getByLabel("Preset").first().selectOption("preview");
+    await button(page, "Try a sample").click();
+    await arrived(page);
+    assert.ok(page.url().endsWith(id), page.url());
+    assert.deepEqual(made, []);
+  });
+});

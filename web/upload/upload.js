@@ -14,6 +14,8 @@ import { seconds } from "../lib/state.js";
 const NAMED = 8;
 /** Number of finished jobs used to estimate the next one's time. */
 const RECENT = 5;
+/** The name of the server's sample. */
+const SAMPLE = "Sample: a dark room";
 /** Seconds before a rate is shown. */
 const RATE_AFTER = 2;
 
@@ -82,12 +84,18 @@ export function startForm() {
     button.disabled = false;
   }
 
-  /** Starts a job of synthetic photographs made by the server. */
+  /** Opens the finished job of the server's sample, or starts it. */
   async function sample() {
     problem.textContent = "";
     if (!options.check()) return;
+    const isSame = ({ name, preset }) => name === SAMPLE && preset === options.preset.value;
+    const ready = finished.find(isSame);
+    if (ready && Object.keys(options.chosen()).length === 0) {
+      location.hash = `#/jobs/${ready.id}`;
+      return;
+    }
     button.disabled = true;
-    status.textContent = "Making up photographs of a dark room…";
+    status.textContent = "Preparing the sample…";
     try {
       /** @type {import("fled-api").Capture} */
       const capture = await api("v1/captures/sample", { method: "POST" });

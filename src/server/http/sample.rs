@@ -7,8 +7,7 @@ use std::sync::Arc;
 use axum::extract::{Extension, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::synthetic::{SynthError, SynthOptions, generate};
-use tokio::sync::Mutex;
+use rust_embed::RustEmbed;
 
 use super::access::Visitor;
 use super::problem::Problem;
@@ -18,10 +17,10 @@ use super::upload::{Upload, check_space, to_its_end};
 use crate::app::App;
 use crate::error::ServerError;
 
-/// Photographs of the sample.
-const VIEWS: usize = 20;
-/// Drawing a sample takes several seconds of a core, so only one runs at a time.
-static TURN: Mutex<()> = Mutex::const_new(());
+/// The files of the sample, drawn by `tools/make_sample.sh`.
+#[derive(RustEmbed)]
+#[folder = "sample"]
+struct Sample;
 
 /// Creates a capture of a made-up dark room, with poses and ground truth.
 ///
@@ -38,10 +37,7 @@ pub async fn create(
     check_space(&app)?;
     let most = bytes_left(&app, &visitor).await?;
     let fields = BTreeMap::from([("name".to_owned(), "Sample: a dark room".to_owned())]);
-    let upload = {
-        let _turn = TURN.lock().await;
-        Upload::made(&app, most, fields, draw).await?
-    };
+    let upload = Upload::made(&app, most, fields, write).await?;
     let report = upload.examine(&app).await?;
     let row = to_its_end(async move { upload.keep(&app, &report, &visitor).await }).await?;
     let location = format!("/v1/captures/{}", row.id);
@@ -49,15 +45,16 @@ pub async fn create(
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
 }
 
-/// Writes the photographs.
-fn draw(dir: &Path) -> Result<usize, Problem> {
-    let options = SynthOptions { views: VIEWS, ..SynthOptions::default() };
-    match generate(&options, dir) {
-        Ok(summary) => Ok(summary.cameras.len()),
-        Err(SynthError::Io { path, source }) => Err(ServerError::io(&path)(source).into()),
-        Err(error) => {
-            tracing::error!(%error, "cannot draw the sample");
-            Err(Problem::internal())
-        }
+/// Writes the files and returns their number.
+fn write(dir: &Path) -> Result<usize, Problem> {
+    let mut files = 0;
+    for name in Sample::iter() {
+        let Some(file) = Sample::get(&name) else { continue };
+        let path = dir.join(&*name);
+        let folder = path.parent().unwrap_or(dir);
+        std::fs::create_dir_all(folder).map_err(ServerError::io(folder))?;
+        std::fs::write(&path, file.data).map_err(ServerError::io(&path))?;
+        files += 1;
     }
+    Ok(files)
 }
