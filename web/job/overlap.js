@@ -57,22 +57,24 @@ function sentence(groups, alone) {
 }
 
 /** The strongest pair across groups: the place where new photographs help soonest. */
-function nearest({ links, least_matches: least }, name) {
-  const best = links.filter((link) => link.matches < least).sort((a, b) => b.matches - a.matches)[0];
+function nearest({ links }, name) {
+  const sorted = links.toSorted((a, b) => b.matches - a.matches);
+  const best = sorted.find((link) => !link.connects);
   if (!best) return "No photographs of different groups match at all.";
-  return `Closest are ${name(best.first)} and ${name(best.second)}, with ${best.matches} matches of the ${least} that connect two photographs.`;
+  const most = sorted[0].connects ? `, where the strongest pair has ${sorted[0].matches}` : "";
+  return `Closest are ${name(best.first)} and ${name(best.second)}, with ${best.matches} matches${most}.`;
 }
 
 /** @param {Overlap} overlap */
-function arcs({ links, least_matches: least }, middles, width, name) {
+function arcs({ links }, middles, width, name) {
   const most = Math.max(1, ...links.map((link) => link.matches));
   const svg = s("svg", { width, height: ARCS, viewBox: `0 0 ${width} ${ARCS}`, role: "img", "aria-label": "Links between the photographs" });
-  for (const { first, second, matches } of links) {
+  for (const { first, second, matches, connects } of links) {
     const [from, to] = [middles.get(first), middles.get(second)];
     if (from === undefined || to === undefined) continue;
     const height = Math.min(2 * ARCS - 8, 24 + Math.abs(to - from) / 4);
     svg.append(s("path", { d: `M${from} ${ARCS}C${from} ${ARCS - height} ${to} ${ARCS - height} ${to} ${ARCS}`,
-      class: matches < least ? "weak" : "", "stroke-width": Math.max(1, WIDEST * Math.sqrt(matches / most)).toFixed(1) },
+      class: connects ? "" : "weak", "stroke-width": Math.max(1, WIDEST * Math.sqrt(matches / most)).toFixed(1) },
     s("title", {}, `${name(first)} and ${name(second)}: ${matches} matches`)));
   }
   return svg;

@@ -124,4 +124,10 @@ impl Evidence<'_> {
         let groups = groups::connected(self.found.as_ref()?);
         Some(groups.first().map_or(0, Vec::len))
     }
+
+    /// Like [`Evidence::reach`], of pairs that clearly show one place.
+    pub(super) fn clear_reach(&self) -> Option<usize> {
+        let groups = groups::clearly_connected(self.found.as_ref()?);
+        Some(groups.first().map_or(0, Vec::len))
+    }
 }

@@ -92,12 +92,15 @@ impl<'a> Search<'a> {
             }
         }
         let reach = evidence.reach();
-        if let Some(reach) = reach.filter(|&reach| self.is_short(reach)) {
+        let clear = evidence.clear_reach().filter(|&clear| self.is_short(clear));
+        let believed = best.as_ref().map_or(0, Candidate::believed);
+        if let Some(clear) = clear.filter(|_| self.is_short(believed)) {
+            // COLMAP's own features connect fewer photographs than those of the networks.
             sink.log(format!(
-                "poses: the networks' matches connect at most {reach} of {total} photographs, and no \
-                 strategy is believed beyond them: none is tried"
+                "poses: matches connect at most {clear} of {total} photographs: no other strategy is \
+                 tried"
             ));
-            return Ok(None);
+            return Ok(best);
         }
         for strategy in STRATEGIES
             .iter()

@@ -11,8 +11,6 @@ pub struct Overlap {
     pub groups: Vec<Vec<String>>,
     /// The strongest pairs: those that connect each group, and the strongest between groups.
     pub links: Vec<OverlapLink>,
-    /// The number of matches from which a pair is connected.
-    pub least_matches: usize,
 }
 
 /// Two photographs with matches.
@@ -24,6 +22,8 @@ pub struct OverlapLink {
     pub second: String,
     /// The number of matches.
     pub matches: usize,
+    /// Whether these are enough: fewer occur between photographs of different places.
+    pub connects: bool,
 }
 
 impl Overlap {

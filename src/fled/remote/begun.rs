@@ -90,7 +90,7 @@ mod tests {
         let home = tempfile::tempdir().expect("temporary folder");
         let folder = home.path().join("submissions");
         let digest = blake3::hash(b"a capture");
-        let open = |server: &str, digest| Begun::open_in(&folder, server, digest);
+        let open = |server: &str, of: &blake3::Hash| Begun::open_in(&folder, server, of);
         let mut begun = open("http://a", &digest);
         assert_eq!(begun.of("images/1.jpg"), None);
         begun.set("images/1.jpg", "one".to_owned());

@@ -137,13 +137,13 @@ impl Job {
             first: self.names[*first].clone(),
             second: self.names[*second].clone(),
             matches: *matches,
+            connects: *matches >= 30,
         };
         let links = [(0, 1, 240), (1, 2, 180), (2, 3, 64), (0, 2, 41), (4, 5, 130), (3, 4, 17)];
         let is_there = |(_, second, _): &&(usize, usize, usize)| *second < self.names.len();
         Overlap {
             groups: groups.map(<[String]>::to_vec).filter(|group| !group.is_empty()).collect(),
             links: links.iter().filter(is_there).map(link).collect(),
-            least_matches: 30,
         }
     }
 

@@ -105,8 +105,9 @@ fn a_job_with_too_little_overlap_tells_which_photographs_match() {
     let overlap = &failed["overlap"];
     let groups = overlap["groups"].as_array().expect("groups");
     assert!(groups[0].as_array().is_some_and(|group| group.len() == 4), "{overlap}");
-    let link = json!({ "first": groups[0][0], "second": groups[0][1], "matches": 240 });
-    assert_eq!((&overlap["links"][0], &overlap["least_matches"]), (&link, &30.into()));
+    let [first, second] = [&groups[0][0], &groups[0][1]];
+    let link = json!({ "first": first, "second": second, "matches": 240, "connects": true });
+    assert_eq!(overlap["links"][0], link);
     let listed = server.get("/v1/jobs", &[]).expect(200).json();
     assert!(listed["jobs"][0].get("overlap").is_none(), "lists stay small");
     server.post_json(&format!("/v1/jobs/{job}/retry"), &json!({}), &[]).expect(202);
