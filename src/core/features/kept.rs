@@ -38,7 +38,7 @@ pub(super) struct KeptMatches {
 impl KeptMatches {
     /// The matches in the file of an interrupted search by the matcher that `describe` describes.
     /// A record that was being written when it ended is left out. Files of other searches that
-    /// cannot be read have been removed by whoever clears the cache.
+    /// cannot be read have been removed from the cache.
     ///
     /// # Errors
     /// [`PosesError::Io`].

@@ -58,9 +58,9 @@ impl Files {
         Ok(Self { files, digest: hasher.finalize() })
     }
 
-    /// Sends what the service lacks of the files and returns the ids of their uploads, which `begun`
-    /// keeps. All uploads begin before the first byte is sent, so that the service refuses what it
-    /// has no room for.
+    /// Sends what the service lacks of the files and returns the ids of their uploads, which
+    /// `begun` keeps. All uploads begin before the first byte is sent, so that the service refuses
+    /// what it has no room for.
     ///
     /// # Errors
     /// [`Failure`] with the service's own message, or if a proxy before it refuses even small

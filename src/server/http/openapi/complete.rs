@@ -45,8 +45,8 @@ fn members(value: &mut Value) -> impl Iterator<Item = (&String, &mut Value)> {
     value.as_object_mut().into_iter().flatten()
 }
 
-/// Adds the types of the core: those of `metrics.json` and of a job's overlap. The rounds response has its fields, most of them once the file
-/// exists.
+/// Adds the types of the core: those of `metrics.json` and of a job's overlap. The rounds response
+/// has its fields, most of them once the file exists.
 fn add_report(api: &mut Value) {
     let mut generator = SchemaSettings::draft2020_12()
         .with(|settings| settings.definitions_path = SCHEMAS.into())
