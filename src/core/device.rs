@@ -16,6 +16,19 @@ pub use scene::{Scene, Shaken};
 
 /// The value of `adapter` that requests the processor.
 pub const PROCESSOR: &str = "cpu";
+/// The value of `adapter` that leaves the device open.
+pub const AUTO: &str = "auto";
+
+/// What decides how much a device can train.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeviceFacts {
+    /// Its name, for users.
+    pub name: String,
+    /// Whether it is known to be a GPU.
+    pub is_gpu: bool,
+    /// Bytes of a GPU's own memory; `None` if it shares the processor's, or if that is unknown.
+    pub own_memory: Option<u64>,
+}
 
 /// A device. Clones are cheap and share it.
 #[derive(Clone)]
@@ -36,11 +49,11 @@ impl Device {
     /// AVX2.
     pub fn new(adapter: &str) -> Result<Self, GpuError> {
         match adapter {
-            "auto" => match Gpu::hardware()? {
+            AUTO => match Gpu::hardware()? {
                 Some(gpu) => Ok(Self::Gpu(gpu)),
                 None if fled_cpu::is_supported() => Ok(Self::Processor),
                 // Software Vulkan also runs on older processors.
-                None => Gpu::new("auto").map(Self::Gpu),
+                None => Gpu::new(AUTO).map(Self::Gpu),
             },
             PROCESSOR if fled_cpu::is_supported() => Ok(Self::Processor),
             PROCESSOR => Err(GpuError::NoAdapter {
@@ -54,6 +67,15 @@ impl Device {
     /// Whether it is known to be a GPU.
     pub fn is_gpu(&self) -> bool {
         matches!(self, Self::Gpu(gpu) if gpu.describe().device_type.is_gpu())
+    }
+
+    /// What decides how much it can train.
+    pub fn facts(&self) -> DeviceFacts {
+        let (name, own_memory) = match self {
+            Self::Gpu(gpu) => (gpu.describe().name.clone(), gpu.describe().own_memory),
+            Self::Processor => (processor_name(), None),
+        };
+        DeviceFacts { name, is_gpu: self.is_gpu(), own_memory }
     }
 
     /// Identifies devices with the same results, bit for bit: an adapter with its driver, or any
@@ -120,6 +142,8 @@ mod tests {
         let shown = device.to_string();
         assert!(shown.contains("processor, AVX") && shown.contains("threads"), "{shown}");
         assert_eq!(device.identity(), "the processor");
+        let DeviceFacts { name, is_gpu, own_memory } = device.facts();
+        assert!(shown.starts_with(&name) && !is_gpu && own_memory.is_none(), "{name}");
         let refused = Device::new("no such adapter");
         assert!(matches!(refused, Err(GpuError::NoAdapter { .. })));
     }

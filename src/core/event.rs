@@ -6,7 +6,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::metrics::{CaptureShake, RoundMetrics};
+use crate::metrics::{CaptureShake, ChosenDetail, RoundMetrics};
 use crate::poses::overlap::Overlap;
 
 /// The stages of a job, in the order of Algorithm 1.
@@ -73,6 +73,12 @@ pub enum Event {
         /// Longest side of the working images, px, once it is known.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         size: Option<u32>,
+    },
+    /// The device has decided how much detail the run trains.
+    DetailChosen {
+        /// The decision.
+        #[serde(flatten)]
+        detail: ChosenDetail,
     },
     /// A stage begins. `round` is 1-based; 0 before the rounds.
     StageStarted {

@@ -19,8 +19,8 @@ pub use correlation::correlation;
 pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
 pub use psnr::{ColourFit, decibels, noise_ceiling, psnr, psnr_colour_corrected};
 pub use report::{
-    Brightness, CaptureExposure, CaptureShake, ImageKind, Record, Reference, Report, RoundMetrics,
-    ViewExposure, ViewScore,
+    Brightness, CaptureExposure, CaptureShake, ChosenDetail, DetailLevel, ImageKind, Record,
+    Reference, Report, RoundMetrics, ViewExposure, ViewScore,
 };
 pub use scores::Scores;
 pub use ssim::{ssim, ssim_where};

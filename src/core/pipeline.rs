@@ -12,6 +12,7 @@ mod context;
 mod deblur;
 mod deliver;
 mod dependencies;
+mod detail;
 mod effective;
 mod enhance;
 mod evaluate;

@@ -92,6 +92,9 @@ fn lines(event: &Event) -> Vec<String> {
         | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
         Event::Planned { rounds, views, .. } => format!("{views} views, {rounds} rounds"),
+        Event::DetailChosen { detail } => {
+            format!("detail: {}, because {}", detail.level.name(), detail.because)
+        }
         Event::StageFinished { stage, round, seconds, skipped } => {
             let how = if *skipped { "already done, took" } else { "done in" };
             format!("{} {how} {seconds:.1} s", name(stage.name(), *round))

@@ -24,8 +24,9 @@ pub struct Args {
     /// Where the result goes.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// preview, standard or paper.
-    #[arg(long, default_value = "standard")]
+    /// auto (high on a GPU with at least 6 GB of memory, else standard), preview, standard, high or
+    /// paper.
+    #[arg(long, default_value = "auto")]
     preset: Preset,
     /// One option over the preset's; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -14,6 +14,9 @@ use crate::{GpuError, Kernel};
 /// Longest wait for the device: far above any step, yet short enough for a hung driver.
 const TIMEOUT: Duration = Duration::from_secs(300);
 
+/// The flag of a heap that lies on the device: VK_MEMORY_HEAP_DEVICE_LOCAL_BIT.
+const DEVICE_LOCAL: u32 = 1;
+
 /// A handle of the device. Clones are cheap and share everything.
 #[derive(Clone)]
 pub struct Gpu {
@@ -46,6 +49,8 @@ pub struct AdapterInfo {
     /// Smallest and largest number of invocations in a subgroup; `None` without support for
     /// subgroups.
     pub subgroup: Option<(u32, u32)>,
+    /// Bytes of its own memory; `None` if it shares the processor's, or if that is unknown.
+    pub own_memory: Option<u64>,
     /// Largest storage binding, bytes.
     pub max_binding: u64,
     /// Whether kernels can be timed.
@@ -204,6 +209,28 @@ fn device_type(raw: wgpu::DeviceType) -> DeviceType {
     }
 }
 
+/// Bytes of a graphics card's own memory; `None` for other devices.
+fn own_memory(adapter: &wgpu::Adapter) -> Option<u64> {
+    let kind = device_type(adapter.get_info().device_type);
+    let has_own = matches!(kind, DeviceType::Discrete | DeviceType::Virtual);
+    has_own.then(|| largest_heap(adapter)).flatten()
+}
+
+/// Bytes of the largest heap that lies on a Vulkan device.
+#[allow(unsafe_code)]
+fn largest_heap(adapter: &wgpu::Adapter) -> Option<u64> {
+    // SAFETY: the adapter is alive until the end of this function, which destroys nothing, and the
+    // physical device belongs to the instance that is asked.
+    let properties = unsafe {
+        let vulkan = adapter.as_hal::<wgpu::hal::api::Vulkan>()?;
+        let instance = vulkan.shared_instance().raw_instance();
+        instance.get_physical_device_memory_properties(vulkan.raw_physical_device())
+    };
+    let heaps = properties.memory_heaps_as_slice().iter();
+    let local = heaps.filter(|heap| heap.flags.as_raw() & DEVICE_LOCAL != 0);
+    local.map(|heap| heap.size).max()
+}
+
 fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
     let raw = adapter.get_info();
     let wanted = wgpu::Features::SUBGROUP
@@ -220,6 +247,7 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         subgroup: features
             .contains(wgpu::Features::SUBGROUP)
             .then_some((raw.subgroup_min_size, raw.subgroup_max_size)),
+        own_memory: own_memory(adapter),
         max_binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
         timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
     };
@@ -266,6 +294,23 @@ fn translate(error: wgpu::Error) -> GpuError {
         }
         wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
             GpuError::Validation(description)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_adapter_reports_a_heap_and_software_no_memory_of_its_own() {
+        let adapters = adapters();
+        assert!(!adapters.is_empty(), "tests need a Vulkan driver");
+        for adapter in adapters {
+            let heap = largest_heap(&adapter).expect("Vulkan requires one");
+            assert!((64 << 20..1 << 50).contains(&heap), "{heap} bytes");
+            let kind = device_type(adapter.get_info().device_type);
+            assert!(kind != DeviceType::Cpu || own_memory(&adapter).is_none(), "{kind:?}");
         }
     }
 }

@@ -93,10 +93,14 @@ test("the sample runs with the preset and options of the form", async () => {
   let job;
   await browser.visit("sample", "", async (page) => {
     const form = part(page, "New job");
-    const paper = form.getByLabel("Preset").locator("[value=paper]");
-    await until("it says what needs a GPU", async () => (await paper.textContent()).includes("which this machine lacks"));
-    assert.equal(await paper.isDisabled(), true);
-    await form.getByLabel("Preset").selectOption("preview");
+    const preset = form.getByLabel("Preset");
+    assert.equal(await preset.inputValue(), "auto");
+    for (const name of ["high", "paper"]) {
+      const option = preset.locator(`[value=${name}]`);
+      await until("it says what needs a GPU", async () => (await option.textContent()).includes("which this machine lacks"));
+      assert.equal(await option.isDisabled(), true, name);
+    }
+    await preset.selectOption("preview");
     await button(page, "Try a sample").click();
     await page.waitForURL(/#\/jobs\//);
     await seen(page.getByRole("heading", { level: 1 }), "Sample: a dark room");

@@ -334,3 +334,13 @@ both("a drop beside the box counts, and on another page leaves the page open", a
     assert.deepEqual(refused, [true, true]);
   }, width);
 });
+
+test("a job of the preset auto shows what its machine chose, and why", async () => {
+  const name = "left to the machine";
+  const id = await stand.server.submit(stand.folder, name, { adapter: "ok" }, "auto");
+  await stand.server.reached(id, "succeeded");
+  await stand.visit("auto", `#/jobs/${id}`, (page) =>
+    seen(page.locator("p.hint"), "auto: standard (a fake device is not a GPU) · created"));
+  await stand.visit("auto-list", "", (page) =>
+    page.locator("tr", { hasText: name }).getByText("auto: standard").waitFor());
+});

@@ -2,6 +2,7 @@
 
 import { api, h, when } from "../lib/dom.js";
 import { MOST_COMPARED, comparisonOf } from "../lib/place.js";
+import { presetOf } from "../lib/state.js";
 
 /** Number of newest jobs offered. */
 const OFFERED = 50;
@@ -43,7 +44,7 @@ export async function compareWith(job) {
             h(
               "span",
               { class: "soft" },
-              ` · ${one.state} · ${one.preset} · ${when(one.created_at)}`,
+              ` · ${one.state} · ${presetOf(one)} · ${when(one.created_at)}`,
             ),
           ),
         );

@@ -28,7 +28,8 @@ export function factList(report) {
     "Photographs placed": placed,
     Shake: shake(report),
     Exposure: exposure(report.exposure),
-    "Set by the shake": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
+    Detail: report.detail ? `${report.detail.level}, because ${report.detail.because}` : null,
+    "Set by the run": Object.keys(report.in_effect ?? {}).length > 0 ? report.in_effect : null,
     "Trained on": report.adapter,
     // The photographs' positions have their own table.
     Poses: report.poses && without(report.poses, "verdicts"),

@@ -6,7 +6,7 @@ import { api, h, prose, when } from "../lib/dom.js";
 import { edit } from "../lib/edit.js";
 import { seesAll } from "../lib/login.js";
 import { priorityField } from "./priority.js";
-import { failure, isOver, progressLine, setBar, stateWord, tagList } from "../lib/state.js";
+import { failure, isOver, presetOf, progressLine, setBar, stateWord, tagList } from "../lib/state.js";
 import { advice } from "../lib/words.js";
 
 const SECOND_MS = 1000;
@@ -26,6 +26,7 @@ export function jobHead(base, refresh, who) {
   const keeping = h("p", { class: "row" });
   const priority = priorityField(base, refresh, who);
   const facts = h("p", { class: "hint" });
+  const preset = h("span");
   const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress" });
   const needs = h("p", { class: "needs", hidden: true });
   const error = h("p", { class: "problem" });
@@ -136,11 +137,12 @@ export function jobHead(base, refresh, who) {
       // The same photographs would fail again.
       if (isFew && actions.lastChild !== buttons.retry) actions.append(buttons.retry);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;
+      preset.textContent = job.detail ? `${presetOf(job)} (${job.detail.because})` : job.preset;
       showKeeping();
       priority.update(job);
       showNeeds();
       if (first) {
-        facts.append(`${job.preset} · created ${when(job.created_at)}`);
+        facts.append(preset, ` · created ${when(job.created_at)}`);
         if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "View photographs"));
       }
       setBar(bar, job);

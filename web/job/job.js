@@ -24,7 +24,7 @@ import { hasWebGl } from "../lib/webgl.js";
 import { videos } from "./videos.js";
 import { comparison } from "./views.js";
 
-const EVENTS = ["state", "planned", "stage_started", "strategy_started", "stage_finished", "progress", "round_finished", "warning"];
+const EVENTS = ["state", "planned", "detail_chosen", "stage_started", "strategy_started", "stage_finished", "progress", "round_finished", "warning"];
 /** The queue position depends on other jobs, which the job's own events do not report. */
 const QUEUE_MS = 3000;
 

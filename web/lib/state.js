@@ -107,6 +107,12 @@ function elapsed(job, { strategies }, isKnown) {
 }
 
 /**
+ * The preset's name, with the detail that the machine chose.
+ * @param {Job} job
+ */
+export const presetOf = ({ preset, detail }) => (detail ? `${preset}: ${detail.level}` : preset);
+
+/**
  * Time from the first attempt to the end; empty before that. Stage times may be longer, as they
  * include poses that an earlier job found.
  * @param {Job} job

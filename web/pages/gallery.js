@@ -3,7 +3,7 @@
 import { api, h, refill } from "../lib/dom.js";
 import { now } from "./jobs.js";
 import { selection } from "./selection.js";
-import { isOver, pill, setBar, tagList, took } from "../lib/state.js";
+import { isOver, pill, presetOf, setBar, tagList, took } from "../lib/state.js";
 import { thumbs } from "./thumbs.js";
 import { failed } from "../lib/words.js";
 import { verdict } from "../job/verdict.js";
@@ -56,7 +56,7 @@ export function gallery(refresh) {
       job.error && h("p", { class: "bad" }, failed(job.error)),
       doing && h("p", { class: "soft" }, doing),
       !isOver(job) && bar,
-      h("p", { class: "row soft" }, [job.preset, took(job)].filter(Boolean).join(" · "), h("span", { class: "push" }, marked.box(job))),
+      h("p", { class: "row soft" }, [presetOf(job), took(job)].filter(Boolean).join(" · "), h("span", { class: "push" }, marked.box(job))),
     ];
   }
 

@@ -2,7 +2,7 @@
 
 import { duration, h, refill, when } from "../lib/dom.js";
 import { selection } from "./selection.js";
-import { doing, isOver, pill, setBar, tagList, took } from "../lib/state.js";
+import { doing, isOver, pill, presetOf, setBar, tagList, took } from "../lib/state.js";
 import { row, table } from "../lib/table.js";
 import { thumbs } from "./thumbs.js";
 import { failed } from "../lib/words.js";
@@ -63,7 +63,7 @@ function cells(job, known) {
     now(job, known),
     took(job),
     score(job),
-    job.preset,
+    presetOf(job),
     when(job.created_at),
   ];
 }

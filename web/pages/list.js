@@ -15,7 +15,7 @@ const MOST = 200;
 const PAGE = 50;
 
 const STATES = ["queued", "running", "succeeded", "failed", "cancelled"];
-const PRESETS = ["preview", "standard", "paper"];
+const PRESETS = ["auto", "preview", "standard", "high", "paper"];
 
 /** Orders of the list besides newest first. Scores against ground truth come first. */
 const ORDERS = {

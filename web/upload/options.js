@@ -11,8 +11,16 @@ const GROUPS = {
   Poses: ["pose_source", "refine_poses", "late_views"],
 };
 /** Options that compare methods or choose machines; only for the API and the command line. */
-const UNASKED = ["adapter", "lut_scope", "enhance", "noise", "schedule", "key_points"];
-const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
+const UNASKED = ["adapter", "detail", "lut_scope", "enhance", "noise", "schedule", "key_points"];
+const PRESETS = {
+  auto: "auto: high with a good GPU, else standard",
+  preview: "preview: a quick look",
+  standard: "standard",
+  high: "high: for a GPU",
+  paper: "paper: for a GPU",
+};
+/** Those that a machine without a GPU cannot run in a reasonable time. */
+const FOR_GPUS = ["high", "paper"];
 
 /** Delay after a failed request. */
 const AGAIN_MS = 3000;
@@ -32,7 +40,7 @@ let forms = 0;
 export function optionsForm() {
   const id = `o${++forms}`;
   const preset = h("select", {}, Object.entries(PRESETS).map(([value, label]) =>
-    h("option", { value, selected: value === "standard" }, label)));
+    h("option", { value, selected: value === "auto" }, label)));
   const groups = h("div");
   const rest = h("div", { class: "options" });
   const more = h("details", {}, h("summary", {}, "Expert options"), rest);
@@ -41,10 +49,12 @@ export function optionsForm() {
   const problem = h("p", { class: "problem", role: "alert" });
   root.append(problem);
   lacksGpu().then((isLacking) => {
-    const paper = preset.querySelector("[value=paper]");
-    if (!isLacking || !paper) return;
-    paper.disabled = true;
-    paper.textContent = "paper: needs a GPU, which this machine lacks";
+    if (!isLacking) return;
+    for (const name of FOR_GPUS) {
+      const option = preset.querySelector(`[value=${name}]`);
+      option.disabled = true;
+      option.textContent = `${name}: needs a GPU, which this machine lacks`;
+    }
   });
   let [fields, presets, wanted, unasked] = [[], null, null, {}];
 

@@ -210,6 +210,39 @@ pub enum CaptureShake {
     Shaken,
 }
 
+/// How much detail a run trains where its options leave that to the device.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ChosenDetail {
+    /// What was chosen.
+    pub level: DetailLevel,
+    /// The fact about the device that decided it.
+    pub because: String,
+}
+
+/// A level of detail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DetailLevel {
+    /// What a processor can train in minutes.
+    Standard,
+    /// What a GPU can.
+    High,
+}
+
+impl DetailLevel {
+    /// The name used in JSON, logs and SQL.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Standard => "standard",
+            Self::High => "high",
+        }
+    }
+
+    pub fn from_name(name: &str) -> Option<Self> {
+        [Self::Standard, Self::High].into_iter().find(|level| level.name() == name)
+    }
+}
+
 /// The exposures of a capture's photographs, found before the rounds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CaptureExposure {
@@ -293,7 +326,10 @@ pub struct Report {
     /// The exposures of the photographs. Absent where the options leave them as taken.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub exposure: Option<CaptureExposure>,
-    /// The options that the verdict on shake changed, with their values in effect.
+    /// The detail that the device decided. Absent if the options name it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detail: Option<ChosenDetail>,
+    /// The options that the device or the verdict on shake changed, with their values in effect.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_effect: BTreeMap<String, serde_json::Value>,
     /// Wall seconds by stage.

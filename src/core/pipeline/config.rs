@@ -1,5 +1,6 @@
 //! The options of a run: flat keys, the same in `--set`, in a job's JSON and in `config.json`.
 
+mod detail;
 mod setting;
 mod shake;
 
@@ -13,6 +14,7 @@ use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
 use crate::reading::read;
 pub use crate::reconstruct::{Background, Densify, Pace};
+pub use detail::Detail;
 pub use setting::Setting;
 pub use shake::{ShakeModel, TrainOn};
 
@@ -20,16 +22,18 @@ pub use shake::{ShakeModel, TrainOn};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
+    /// How much detail is trained where `steps`, `size` and `cap` are `auto`.
+    pub detail: Detail,
     /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 for a
     /// still capture.
     #[schemars(schema_with = "setting::schema::<1, 8>")]
     pub rounds: Setting,
-    /// Optimiser steps per round. `auto` is 1,000, or 2,000 for a still capture if `rounds` is
-    /// `auto`, too.
+    /// Optimiser steps per round. `auto` is 1,000 (3,500 with `detail=high`), or twice as many for
+    /// a still capture if `rounds` is `auto`, too.
     #[schemars(schema_with = "setting::schema::<1, 200_000>")]
     pub steps: Setting,
-    /// Longest side of the working images, px; never above the original. `auto` is 560, or 420 if
-    /// the capture is found strongly shaken.
+    /// Longest side of the working images, px; never above the original. `auto` is 560 (1,600 with
+    /// `detail=high`), or 420 if the capture is found strongly shaken.
     #[schemars(schema_with = "setting::schema::<64, 4096>")]
     pub size: Setting,
     /// Target brightness: `auto`, stops such as `+3.5EV`, or one of the paper's curves:
@@ -68,8 +72,8 @@ pub struct Options {
     pub schedule: Pace,
     /// How Gaussians are added and removed.
     pub densify: Densify,
-    /// Maximum number of Gaussians. `auto` is 30,000, or as many a pixel where the working images
-    /// are smaller because of shake.
+    /// Maximum number of Gaussians. `auto` is 30,000 (1,000,000 with `detail=high`), or as many a
+    /// pixel where the working images are smaller because of shake.
     #[schemars(schema_with = "setting::schema::<100, 5_000_000>")]
     pub cap: Setting,
     /// Degree of the spherical harmonics.
@@ -194,28 +198,31 @@ pub enum Deliver {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
+    /// The default: `high` on a GPU with enough memory, else `standard`.
+    Auto,
     /// A quick look at a quarter of the pixels; hides half of the blur and the noise.
     Preview,
-    /// The default.
+    /// What a processor trains in minutes.
     Standard,
+    /// More pixels, Gaussians and steps, for a GPU; otherwise as `standard`.
+    High,
     /// What the paper states, and this build's choice where it states nothing (docs/paper.md);
     /// intended for a GPU.
     Paper,
 }
 
-/// What `auto` stands for.
+/// The rounds that `auto` stands for.
 const USUAL_ROUNDS: u32 = 2;
-const USUAL_STEPS: u32 = 1_000;
-const USUAL_SIDE: u32 = 560;
-const USUAL_CAP: u32 = 30_000;
 
 impl Preset {
-    pub const ALL: [Self; 3] = [Self::Preview, Self::Standard, Self::Paper];
+    pub const ALL: [Self; 5] = [Self::Auto, Self::Preview, Self::Standard, Self::High, Self::Paper];
 
     pub fn name(self) -> &'static str {
         match self {
+            Self::Auto => "auto",
             Self::Preview => "preview",
             Self::Standard => "standard",
+            Self::High => "high",
             Self::Paper => "paper",
         }
     }
@@ -223,6 +230,7 @@ impl Preset {
     /// The options that the preset stands for.
     pub fn options(self) -> Options {
         let standard = Options {
+            detail: Detail::Standard,
             rounds: Setting::Auto,
             steps: Setting::Auto,
             size: Setting::Auto,
@@ -251,10 +259,12 @@ impl Preset {
             adapter: "auto".to_owned(),
         };
         match self {
+            Self::Auto => Options { detail: Detail::Auto, ..standard },
             Self::Preview => {
                 Options { size: Setting::Given(280), cap: Setting::Given(10_000), ..standard }
             }
             Self::Standard => standard,
+            Self::High => Options { detail: Detail::High, ..standard },
             Self::Paper => paper(standard),
         }
     }
@@ -315,17 +325,17 @@ impl Options {
 
     /// Optimiser steps of a round before a verdict on the shake.
     pub fn steps_per_round(&self) -> u32 {
-        self.steps.or(USUAL_STEPS)
+        self.steps.or(self.detail.steps())
     }
 
     /// Longest side of the working images before a verdict on the shake, px.
     pub fn longest_side(&self) -> u32 {
-        self.size.or(USUAL_SIDE)
+        self.size.or(self.detail.side())
     }
 
     /// Largest number of Gaussians before a verdict on the shake.
     pub fn most_gaussians(&self) -> u32 {
-        self.cap.or(USUAL_CAP)
+        self.cap.or(self.detail.cap())
     }
 
     /// Whether the run needs no network: no view trains as deblurred, and no kernel depends on the
@@ -347,7 +357,10 @@ impl FromStr for Preset {
     fn from_str(name: &str) -> Result<Self, OptionsError> {
         Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| OptionsError {
             key: "preset".to_owned(),
-            message: format!("`{name}` is not a preset; choose preview, standard or paper"),
+            message: format!(
+                "`{name}` is not a preset; choose {}",
+                Self::ALL.map(Self::name).join(", ")
+            ),
         })
     }
 }

@@ -18,7 +18,7 @@ const POSES: &[&str] = &["pose_source", "seed"];
 /// Structure from motion repeated on brightened and deblurred photographs.
 const POSES_OF_DEBLURRED: &[&str] = &["target", "lut_scope"];
 /// The registered photographs at working size, evened.
-const VIEWS: &[&str] = &["size", "exposure"];
+const VIEWS: &[&str] = &["detail", "size", "exposure"];
 /// The tone curves of all rounds. The seed serves the search for the curve nearest to a network.
 const ENHANCE: &[&str] = &["rounds", "target", "lut_scope", "seed"];
 /// Deblurring with a guide.
@@ -28,9 +28,10 @@ const DEBLUR: &[&str] = &[];
 /// The curves from a round's renders to the next round and to the target.
 const MATCH: &[&str] = &["lut_scope", "guide", "seed"];
 /// The views that join or leave the scene after a round.
-const LATE_VIEWS: &[&str] = &["size", "shake", "refine_poses", "lut_scope", "seed"];
+const LATE_VIEWS: &[&str] = &["detail", "size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
 const RECONSTRUCT: &[&str] = &[
+    "detail",
     "rounds",
     "steps",
     "noise",

@@ -6,6 +6,7 @@ use serde_json::{Value, json};
 
 use super::config::{Deliver, Options};
 use super::context::Context;
+use super::detail::Chosen;
 use super::error::PipelineError;
 use super::tools::{Networks, Tools};
 use crate::deblur::RestorerInfo;
@@ -14,7 +15,15 @@ use crate::metrics::{Report, RoundMetrics};
 use crate::poses::Poses;
 
 /// The report of a run that has not finished a round.
-pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &Poses) -> Report {
+///
+/// `asked` are the options before the device decided the detail.
+pub fn begin(
+    asked: &Options,
+    chosen: &Chosen,
+    tools: &Tools<'_>,
+    networks: &Networks,
+    poses: &Poses,
+) -> Report {
     let model = |info: &RestorerInfo| {
         let RestorerInfo { id, sha256, provider, .. } = info;
         format!("{id} sha256:{sha256} on {provider}")
@@ -29,6 +38,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         shaken_views: None,
         capture_shake: None,
         exposure: None,
+        detail: chosen.detail.clone(),
         in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
         adapter: tools.device.to_string(),
@@ -36,14 +46,14 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         fallbacks: tools.fallbacks.clone(),
         poses: facts(poses),
         scene_offset: by.left_out.then(|| by.offset.to_array()),
-        seed: options.seed,
-        config: json!(options),
+        seed: asked.seed,
+        config: json!(asked),
     }
 }
 
-/// Records the options that a verdict on the capture changed.
-pub fn change(report: &mut Report, options: &Options, in_effect: &Options) {
-    if let (Value::Object(asked), Value::Object(used)) = (json!(options), json!(in_effect)) {
+/// Records the options that the device or a verdict on the capture changed.
+pub fn change(report: &mut Report, asked: &Options, in_effect: &Options) {
+    if let (Value::Object(asked), Value::Object(used)) = (json!(asked), json!(in_effect)) {
         let changed = used.into_iter().filter(|(key, value)| asked.get(key) != Some(value));
         report.in_effect = changed.collect();
     }

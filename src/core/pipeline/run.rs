@@ -5,6 +5,7 @@ use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
 use super::dependencies::{RoundDependencies, RunDependencies};
+use super::detail::{Chosen, choose};
 use super::effective::Effective;
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
@@ -84,14 +85,16 @@ struct RoundState {
 /// [`PipelineError`]; finished stages stay in the workspace and are not repeated.
 pub fn run(
     capture: &Capture,
-    options: &Options,
+    asked: &Options,
     tools: &mut Tools<'_>,
     workspace: &Workspace,
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
+    let chosen = choose(asked, &tools.device.facts())?;
+    let options = &chosen.options;
     let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
+    let context = &mut begin(capture, asked, &chosen, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
     let whole = depends_on.run();
@@ -99,7 +102,7 @@ pub fn run(
         return Ok(Outcome { report });
     }
     publish(workspace, &poses)?;
-    let mut report = report::begin(options, tools, depends_on.networks(), &poses);
+    let mut report = report::begin(asked, &chosen, tools, depends_on.networks(), &poses);
     let mut views = views::load(context, capture, &poses, options)?;
     let (exposures, found) =
         exposures::find(context, tools.device, options, capture, &poses, &views)?;
@@ -115,7 +118,7 @@ pub fn run(
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
     let effective = &Effective::of(options, shaken.as_ref());
     let in_effect = &effective.options;
-    report::change(&mut report, options, in_effect);
+    report::change(&mut report, asked, in_effect);
     let request = Request { capture, effective };
     context.sink.event(&Event::Planned {
         rounds: effective.rounds(),
@@ -325,40 +328,47 @@ impl RoundState {
 /// [`PipelineError`].
 pub fn find_poses(
     capture: &Capture,
-    options: &Options,
+    asked: &Options,
     tools: &mut Tools<'_>,
     workspace: &Workspace,
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
+    let chosen = choose(asked, &tools.device.facts())?;
+    let options = &chosen.options;
     let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
+    let context = &mut begin(capture, asked, &chosen, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     publish(workspace, &poses)?;
     Ok(poses)
 }
 
-/// Writes the options of the run and reports its start.
+/// Writes the options of the run and reports its start. `asked` are the options before the device
+/// decided the detail.
 fn begin<'a>(
     capture: &Capture,
-    options: &Options,
+    asked: &Options,
+    chosen: &Chosen,
     tools: &Tools<'_>,
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
     cancel: &'a CancelToken,
 ) -> Result<Context<'a>, PipelineError> {
     cancel.check()?;
-    workspace.write_json(&workspace.folder().config(), options)?;
+    workspace.write_json(&workspace.folder().config(), asked)?;
     if workspace.enter()? {
         let message = "another version of fled began this run; its stages start again";
         sink.warn("upgraded", message.to_owned());
     }
     sink.event(&Event::Planned {
-        rounds: options.round_count(),
+        rounds: chosen.options.round_count(),
         views: capture.views.len() as u32,
         shake: None,
         size: None,
     });
+    if let Some(detail) = &chosen.detail {
+        sink.event(&Event::DetailChosen { detail: detail.clone() });
+    }
     sink.log(format!("adapter: {}", tools.device));
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));

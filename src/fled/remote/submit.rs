@@ -22,8 +22,9 @@ pub struct Args {
     capture: PathBuf,
     #[command(flatten)]
     remote: super::Args,
-    /// Preset: preview, standard or paper.
-    #[arg(long, default_value = "standard")]
+    /// Preset: auto (high on a GPU with at least 6 GB of memory, else standard), preview, standard,
+    /// high or paper.
+    #[arg(long, default_value = "auto")]
     preset: Preset,
     /// Overrides one option of the preset; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]

@@ -13,7 +13,8 @@ use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
 use fled_core::event::{Event, Stage};
 use fled_core::gaussians::{Gaussians, ply};
 use fled_core::image::Image;
-use fled_core::pipeline::config::Options;
+use fled_core::metrics::{ChosenDetail, DetailLevel};
+use fled_core::pipeline::config::{Detail, Options};
 use fled_core::poses::overlap::{Overlap, OverlapLink};
 use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
@@ -84,6 +85,11 @@ impl Job {
             shake: None,
             size: None,
         });
+        if self.options.detail == Detail::Auto {
+            let because = "a fake device is not a GPU".to_owned();
+            let detail = ChosenDetail { level: DetailLevel::Standard, because };
+            tell(&Event::DetailChosen { detail });
+        }
         match self.plan.as_str() {
             "apart" => {
                 tell(&Event::OverlapFound(self.overlap()));

@@ -54,8 +54,9 @@ pub struct StreamEvent {
 
 /// Streams the events of a job.
 ///
-/// Their types are `state`, `planned`, `stage_started`, `strategy_started` (the search for poses
-/// tries another way), `overlap_found` (matches do not connect all photographs), `stage_finished`,
+/// Their types are `state`, `planned`, `detail_chosen` (what `detail=auto` became),
+/// `stage_started`, `strategy_started` (the search for poses tries another way), `overlap_found`
+/// (matches do not connect all photographs), `stage_finished`,
 /// `progress`, `training_seen`, `held_out_seen`, `view_seen`, `round_finished` and `warning`. The
 /// stream ends with the job; 204 means that no more events will come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",

@@ -4,8 +4,9 @@ use std::path::PathBuf;
 
 use fled_core::capture::view_names;
 use fled_core::deblur::{BUILT_IN, Model, NetworkChoice, network_names};
+use fled_core::device::AUTO;
 use fled_core::enhance::Target;
-use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
+use fled_core::pipeline::config::{Detail, NetworkOption, Options, OptionsError, Preset};
 use fled_core::reading::below;
 use serde_json::{Map, Value};
 use uuid::Uuid;
@@ -16,8 +17,8 @@ use crate::app::App;
 use crate::store::{Engine, JobRow, Needs, NewJob};
 use crate::validation::CaptureReport;
 
-/// Memory of a machine that may run a job of the preset `paper`, in bytes.
-const PAPER_MEMORY: u64 = 12 << 30;
+/// Memory of a machine that may run a job of the presets for GPUs, in bytes.
+const GPU_JOB_MEMORY: u64 = 12 << 30;
 
 /// Maximum characters of a fragment of an adapter's name.
 const LONGEST_ADAPTER: usize = 200;
@@ -39,7 +40,7 @@ impl Order {
         priority: Priority,
     ) -> Result<Self, Problem> {
         let preset: Preset = preset
-            .unwrap_or(Preset::Standard.name())
+            .unwrap_or(Preset::Auto.name())
             .parse()
             .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
         let options =
@@ -141,11 +142,13 @@ impl Order {
 }
 
 impl Order {
-    /// Requirements for the machine, if there are several: training with the paper's settings takes
-    /// days without a GPU.
+    /// Requirements for the machine, if there are several: without a GPU, training with the paper's
+    /// settings takes days, and the detail `high` is refused unless the options name the device.
     fn needs(&self, app: &App) -> Needs {
-        match (app.store.engine(), self.preset) {
-            (Engine::Postgres, Preset::Paper) => Needs { gpu: true, memory: PAPER_MEMORY },
+        let is_high = self.options.detail == Detail::High && self.options.adapter == AUTO;
+        let for_gpu = is_high || self.preset == Preset::Paper;
+        match app.store.engine() {
+            Engine::Postgres if for_gpu => Needs { gpu: true, memory: GPU_JOB_MEMORY },
             _ => Needs::default(),
         }
     }

@@ -132,6 +132,10 @@ pub struct Job {
     /// All options.
     #[schema(value_type = Object)]
     pub options: Value,
+    /// What the option `detail=auto` became on the machine that trains; absent before it has
+    /// decided, and if the options name the detail.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub detail: Option<ChosenDetail>,
     /// Duration of every finished stage.
     pub stages: Vec<StageTime>,
     /// Time of creation, RFC 3339.
@@ -144,6 +148,15 @@ pub struct Job {
     pub pinned: bool,
     /// Time at which the job is deleted, RFC 3339.
     pub expires_at: Option<String>,
+}
+
+/// The detail that a machine has chosen.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ChosenDetail {
+    /// `standard` or `high`.
+    pub level: String,
+    /// The fact about the device that decided it.
+    pub because: String,
 }
 
 /// How a result compares with photographs.
@@ -256,6 +269,10 @@ impl Job {
             attempts: row.attempts,
             preset: row.preset,
             options: row.options,
+            detail: row.detail.map(|detail| ChosenDetail {
+                level: detail.level.name().to_owned(),
+                because: detail.because,
+            }),
             created_at: time(row.created_at),
             started_at: row.started_at.map(time),
             finished_at: row.finished_at.map(time),

@@ -60,6 +60,12 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         Event::Planned { rounds, .. } => sqlx::query("UPDATE jobs SET rounds = $1 WHERE id = $2")
             .bind(i64::from(*rounds))
             .bind(job),
+        Event::DetailChosen { detail } => {
+            sqlx::query("UPDATE jobs SET detail = $1, detail_because = $2 WHERE id = $3")
+                .bind(detail.level.name())
+                .bind(detail.because.clone())
+                .bind(job)
+        }
         Event::StageStarted { stage, round } => sqlx::query(
             "UPDATE jobs SET stage = $1, round = $2, steps_per_second = NULL WHERE id = $3",
         )

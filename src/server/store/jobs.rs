@@ -1,6 +1,7 @@
 //! Job rows: creation, reads, and user requests.
 
 use fled_core::event::Stage;
+use fled_core::metrics::{ChosenDetail, DetailLevel};
 use fled_core::poses::overlap::Overlap;
 use serde_json::{Value, json};
 use sqlx::Row;
@@ -60,6 +61,8 @@ pub struct JobRow {
     pub preset: String,
     /// Complete options.
     pub options: Value,
+    /// The detail that the machine which trains has chosen, if the options leave it open.
+    pub detail: Option<ChosenDetail>,
     /// Its state.
     pub state: JobState,
     /// The current or last stage.
@@ -414,6 +417,16 @@ fn place(name: &str) -> Option<usize> {
     Stage::ALL.iter().position(|stage| stage.name() == name)
 }
 
+fn detail(row: &AnyRow) -> Result<Option<ChosenDetail>> {
+    let Some(level) = row.try_get::<Option<String>, _>("detail")? else {
+        return Ok(None);
+    };
+    let level = DetailLevel::from_name(&level)
+        .ok_or(ServerError::Damaged { what: "job detail", detail: level })?;
+    let because = row.try_get::<Option<String>, _>("detail_because")?.unwrap_or_default();
+    Ok(Some(ChosenDetail { level, because }))
+}
+
 pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
     let options: String = row.try_get("options")?;
     let tags: String = row.try_get("tags")?;
@@ -440,6 +453,7 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
             what: "job options",
             detail: error.to_string(),
         })?,
+        detail: detail(row)?,
         state: JobState::from_name(&state)
             .ok_or(ServerError::Damaged { what: "job state", detail: state })?,
         stage: row.try_get("stage")?,

@@ -23,6 +23,7 @@ pub(super) const SQLITE: [(i64, &str, &str); 21] = [
     (19, "videos", include_str!("../../../migrations/0019_videos.sql")),
     (20, "tags", include_str!("../../../migrations/0020_tags.sql")),
     (21, "overlap", include_str!("../../../migrations/0021_overlap.sql")),
+    (22, "detail", include_str!("../../../migrations/0022_detail.sql")),
 ];
 
 /// The same for PostgreSQL: its first one equals all of SQLite's up to then, and has the same
@@ -35,4 +36,5 @@ pub(super) const POSTGRES: [(i64, &str, &str); 7] = [
     (19, "videos", include_str!("../../../migrations/postgres/0019_videos.sql")),
     (20, "tags", include_str!("../../../migrations/postgres/0020_tags.sql")),
     (21, "overlap", include_str!("../../../migrations/postgres/0021_overlap.sql")),
+    (22, "detail", include_str!("../../../migrations/postgres/0022_detail.sql")),
 ];

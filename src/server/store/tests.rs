@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use fled_blobs::Kept;
 use fled_core::event::{Event, Stage};
+use fled_core::metrics::{ChosenDetail, DetailLevel};
 use proptest::prelude::*;
 use serde_json::json;
 

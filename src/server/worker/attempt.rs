@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::event::Event;
-use fled_core::pipeline::config::Options;
+use fled_core::pipeline::config::{Options, Preset};
 use fled_core::pipeline::error::ErrorKind;
 use serde_json::Value;
 use tokio::sync::Notify;
@@ -157,6 +157,9 @@ fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Ve
                 validation::source(app.data.capture(&job.capture_id)).into(),
                 "--out".into(),
                 output.into(),
+                // What the options of an older build lack is the default's.
+                "--preset".into(),
+                Preset::Standard.name().into(),
                 "--options".into(),
                 path.into(),
                 "--cache".into(),

@@ -17,6 +17,9 @@ pub(super) fn is_milestone(event: &Event) -> bool {
 pub(super) fn readable(event: &Event) -> String {
     match event {
         Event::Planned { rounds, views, .. } => format!("planned {rounds} rounds of {views} views"),
+        Event::DetailChosen { detail } => {
+            format!("detail {}: {}", detail.level.name(), detail.because)
+        }
         Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
         Event::StageFinished { stage, round, seconds, skipped } => {
             let how = if *skipped { "already done" } else { "done" };

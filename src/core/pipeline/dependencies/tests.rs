@@ -5,7 +5,8 @@ use crate::pipeline::config::{Setting, ShakeModel, TrainOn};
 
 /// The results that each option invalidates, in the order of Algorithm 1. Options without any act
 /// through the tools that they choose.
-const STALE: [(&str, &[&str]); 26] = [
+const STALE: [(&str, &[&str]); 27] = [
+    ("detail", &["views", "enhance", "deblur", "reconstruct", "guided"]),
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     ("size", &["views", "enhance", "deblur", "reconstruct", "guided"]),
@@ -38,6 +39,7 @@ const STALE: [(&str, &[&str]); 26] = [
 fn other(option: &str) -> Value {
     match option {
         "rounds" | "steps" | "size" | "cap" | "seed" => json!(777),
+        "detail" => json!("high"),
         "exposure" => json!("as_taken"),
         "sh_degree" => json!(1),
         "target" => json!("10,0.8"),

@@ -374,3 +374,20 @@ async fn a_job_knows_its_queue_position_and_when_its_stage_began() {
     // The new attempt has not begun a stage.
     assert_eq!(job("a").await.stage_started_at, None);
 }
+
+#[tokio::test]
+async fn a_job_keeps_the_detail_that_its_machine_chose() {
+    let (_dir, store) = store().await;
+    create(&store, "a").await;
+    let detail = async || store.job("a").await.expect("read").expect("job").detail;
+    assert_eq!(detail().await, None);
+    // The next attempt may run on another machine.
+    for level in [DetailLevel::High, DetailLevel::Standard] {
+        let lease = store.claim("w", 60_000, &[]).await.expect("claim").expect("job").lease;
+        let chosen = ChosenDetail { level, because: "of its memory".to_owned() };
+        let event = Event::DetailChosen { detail: chosen.clone() };
+        store.record(&lease, &event).await.expect("record");
+        assert_eq!(detail().await, Some(chosen));
+        store.settle(&lease, &Settlement::Released).await.expect("settle");
+    }
+}

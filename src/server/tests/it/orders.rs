@@ -278,3 +278,18 @@ fn a_job_is_found_by_its_idempotency_key() {
     server.post_json("/v1/jobs", &order, &[("idempotency-key", "b")]).expect(202);
     assert_eq!(found("a"), [made["id"].as_str().expect("id")]);
 }
+
+#[test]
+fn a_job_without_a_preset_shows_the_detail_that_its_machine_chose() {
+    let server = Server::start();
+    let options = json!({ "adapter": "ok" });
+    let order = json!({ "capture_id": server.capture(3), "options": options });
+    let id = id(&server.post_json("/v1/jobs", &order, &[]).expect(202));
+    let job = server.wait_state(&id, "succeeded");
+    assert_eq!((&job["preset"], &job["options"]["detail"]), (&"auto".into(), &"auto".into()));
+    let because = "a fake device is not a GPU";
+    assert_eq!(job["detail"], json!({ "level": "standard", "because": because }));
+    // Its options stay open for the machine of another attempt.
+    let preview = server.wait_state(&server.job("ok"), "succeeded");
+    assert_eq!(preview["detail"], Value::Null, "its preset names the detail");
+}
