@@ -107,6 +107,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    return_freed_pictures();
     silence_device_select();
     let cli = Cli::parse();
     if let Command::Guard { command } = &cli.command {
@@ -148,6 +149,20 @@ fn main() -> ExitCode {
         Err(failure) => failure.report(),
     }
 }
+
+/// Makes the allocator return freed pictures to the system at once. By default glibc keeps what has
+/// the size of any block freed before: 60 photographs of 560 x 420 px took a third more memory.
+#[cfg(all(target_os = "linux", target_env = "gnu"))]
+#[allow(unsafe_code)]
+fn return_freed_pictures() {
+    const FROM_BYTES: i32 = 1 << 20;
+    // SAFETY: called first in `main`, when no other thread exists; it sets a number, no pointer.
+    // A refusal, which glibc does not document for this size, costs only memory.
+    let _ = unsafe { libc::mallopt(libc::M_MMAP_THRESHOLD, FROM_BYTES) };
+}
+
+#[cfg(not(all(target_os = "linux", target_env = "gnu")))]
+fn return_freed_pictures() {}
 
 /// Without a desktop session, Mesa's device selection layer prints an error at every start. fled
 /// selects its device itself.

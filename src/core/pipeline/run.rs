@@ -211,12 +211,12 @@ fn round(
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
     views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.device, round, views, &scene.gaussians)?; // R_i
-    let deblurred = kept(context.workspace, KeptImages::Deblurred, round.number, views)?;
     let next = if effective.is_single {
         None
     } else {
         match_brightness(context, round, &renders, views, brightening, &on.matching)? // P_R
     };
+    let deblurred = kept(context.workspace, KeptImages::Deblurred, round.number, views)?;
     let finished = Finished {
         round,
         views,

@@ -1,7 +1,7 @@
 //! Migrations of both databases.
 
 /// Applied in order to SQLite, each once, never edited after release.
-pub(super) const SQLITE: [(i64, &str, &str); 21] = [
+pub(super) const SQLITE: &[(i64, &str, &str)] = &[
     (1, "captures", include_str!("../../../migrations/0001_captures.sql")),
     (2, "jobs", include_str!("../../../migrations/0002_jobs.sql")),
     (3, "events", include_str!("../../../migrations/0003_events.sql")),
@@ -28,7 +28,7 @@ pub(super) const SQLITE: [(i64, &str, &str); 21] = [
 
 /// The same for PostgreSQL: its first one equals all of SQLite's up to then, and has the same
 /// number.
-pub(super) const POSTGRES: [(i64, &str, &str); 7] = [
+pub(super) const POSTGRES: &[(i64, &str, &str)] = &[
     (15, "everything", include_str!("../../../migrations/postgres/0015_everything.sql")),
     (16, "traces", include_str!("../../../migrations/postgres/0016_traces.sql")),
     (17, "errands", include_str!("../../../migrations/postgres/0017_errands.sql")),
