@@ -10,8 +10,8 @@ const MOST_BYTES = 300_000;
 /** Limit on two busy cores, ms; an idle machine takes a twentieth of it. */
 const LATEST_PAINT = 5000;
 
-/** Limit for the requests until a job can be started, and for the modules of form and list. */
-const [MOST_BEFORE, MOST_MODULES] = [40, 32];
+/** Limit for the modules of the form and the list; the page has three other files of its own. */
+const MOST_MODULES = 32;
 /** Limit for the same on two busy cores, over a mobile network, ms; an idle machine: 1500. */
 const LATEST_START = 5000;
 /** How long nothing more is fetched, ms. */
@@ -55,18 +55,19 @@ test("over a mobile network a job can soon be started, and nothing is fetched th
     await page.goto(`${stand.server.base}/#/`);
     await page.locator("form button.main", { hasText: "Start" }).waitFor();
     await page.getByLabel("Preset").first().locator("option").first().waitFor({ state: "attached" });
-    const [usable, before] = [Date.now() - begun, asked.length];
+    const usable = Date.now() - begun;
     await READY["the list"](page);
     const scripts = () => asked.filter((path) => path.endsWith(".js"));
     const shown = scripts().length;
     await page.waitForTimeout(REST_MS);
-    t.diagnostic(`Start after ${usable} ms and ${before} requests; ${shown} modules with the list`);
+    t.diagnostic(`Start after ${usable} ms; ${shown} modules with the list, ${asked.length} requests in all`);
     assert.ok(shown > 20 && shown <= MOST_MODULES, `${shown} modules`);
     assert.equal(scripts().length, shown, "the modules of other pages wait until they are wanted");
-    assert.ok(before <= MOST_BEFORE, `${before} requests: ${asked.slice(0, before)}`);
     assert.ok(usable < LATEST_START, `${usable} ms`);
-    await page.locator(".gallery a").first().hover();
-    await page.waitForRequest((request) => request.url().endsWith("/job/job.js"));
+    await Promise.all([
+      page.waitForRequest((request) => request.url().endsWith("/job/job.js")),
+      page.locator(".gallery a").first().hover(),
+    ]);
   } finally {
     await context.close();
   }
