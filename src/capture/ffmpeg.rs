@@ -13,6 +13,9 @@ const TAIL: usize = 64 << 10;
 /// After its exit its last messages arrive at once.
 const PATIENCE: Duration = Duration::from_secs(1);
 
+/// Exit code of programs that start ffmpeg and do not find it. ffmpeg does not use it.
+pub const NOT_FOUND: i32 = 127;
+
 /// The program, with options to ask nothing, to report only errors, and to exit on them. `first`
 /// are leading arguments, if it is a program that starts ffmpeg.
 pub fn command(program: impl AsRef<OsStr>, first: &[OsString]) -> Command {

@@ -1,22 +1,30 @@
-//! A child process in its own process group, so that killing it leaves nothing behind.
+//! Child processes: each in its own process group, so that killing it leaves nothing behind.
+//!
+//! A group is signalled only while its leader has not been reaped: afterwards the kernel may reuse
+//! its number for another group.
 
-use std::os::unix::process::CommandExt;
-use std::process::{Child, ChildStderr, ChildStdout, Command, ExitStatus};
-use std::{fmt, io};
+mod guard;
 
-use rustix::process::{Pid, Signal, kill_process_group};
+use std::io::{self, Read};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{
+    Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Output, Stdio,
+};
 
-/// A running child and all processes that it started.
+use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+
+pub use guard::{GUARD, become_guarded, die_with, guarded};
+
+/// The variable that names the parent's process id to a child, so that it can end with its parent.
+pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
+
+/// A running child and all processes that it started. Dropping it kills them.
+#[derive(Debug)]
 pub struct Group {
     child: Child,
-    /// Set once the child is reaped: its number may then belong to another group.
-    ended: Option<ExitStatus>,
-}
-
-impl fmt::Debug for Group {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "group {}", self.child.id())
-    }
+    pid: Pid,
+    status: Option<ExitStatus>,
+    is_reaped: bool,
 }
 
 impl Group {
@@ -25,7 +33,20 @@ impl Group {
     /// # Errors
     /// The system's error if it cannot be started.
     pub fn spawn(command: &mut Command) -> io::Result<Self> {
-        Ok(Self { child: command.process_group(0).spawn()?, ended: None })
+        command.env(PARENT_VARIABLE, std::process::id().to_string());
+        let child = command.process_group(0).spawn()?;
+        let pid = Pid::from_child(&child);
+        Ok(Self { child, pid, status: None, is_reaped: false })
+    }
+
+    /// The id of the leader and of the group.
+    pub fn pid(&self) -> i32 {
+        self.pid.as_raw_nonzero().get()
+    }
+
+    /// The pipe of its standard input; available once.
+    pub fn input(&mut self) -> Option<ChildStdin> {
+        self.child.stdin.take()
     }
 
     /// The pipes of its standard output and error; available once.
@@ -38,10 +59,7 @@ impl Group {
     /// # Errors
     /// The system's error if the status is unavailable.
     pub fn try_wait(&mut self) -> io::Result<Option<ExitStatus>> {
-        if self.ended.is_none() {
-            self.ended = self.child.try_wait()?;
-        }
-        Ok(self.ended)
+        self.look(WaitIdOptions::NOHANG)
     }
 
     /// Waits for the leader to exit.
@@ -49,31 +67,80 @@ impl Group {
     /// # Errors
     /// The system's error if the status is unavailable.
     pub fn wait(&mut self) -> io::Result<ExitStatus> {
-        let status = self.child.wait()?;
-        self.ended = Some(status);
-        Ok(status)
+        let status = self.look(WaitIdOptions::empty())?;
+        status.ok_or_else(|| io::Error::other("it has no exit status"))
     }
 
-    /// Kills the group and reaps its leader; does nothing after the leader was reaped.
+    /// Looks for the exit status without reaping the leader.
+    fn look(&mut self, how: WaitIdOptions) -> io::Result<Option<ExitStatus>> {
+        if self.status.is_none() {
+            let how = how | WaitIdOptions::EXITED | WaitIdOptions::NOWAIT;
+            self.status = waitid(WaitId::Pid(self.pid), how)?.map(|ended| {
+                let code = ended.exit_status().unwrap_or_default() << 8;
+                ExitStatus::from_raw(ended.terminating_signal().unwrap_or(code))
+            });
+        }
+        Ok(self.status)
+    }
+
+    /// Asks the group to end.
+    pub fn terminate(&self) {
+        self.signal(Signal::TERM);
+    }
+
+    /// Kills what is left of the group, and reaps its leader.
     pub fn kill(&mut self) {
-        let pid = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw);
-        if let (None, Some(pid)) = (self.ended, pid) {
-            // It may have just exited; only leave nothing of it behind.
-            let _ = kill_process_group(pid, Signal::KILL);
-            self.ended = self.child.wait().ok();
+        self.signal(Signal::KILL);
+        if !self.is_reaped
+            && let Ok(status) = self.child.wait()
+        {
+            self.status = Some(status);
+            self.is_reaped = true;
         }
     }
+
+    /// Signals the group.
+    pub fn signal(&self, signal: Signal) {
+        if !self.is_reaped {
+            // An empty group is no error: all its processes have ended.
+            let _ = kill_process_group(self.pid, signal);
+        }
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+/// Runs `command` to its end and returns its output.
+///
+/// # Errors
+/// The system's error if it cannot be started or read.
+pub fn output(command: &mut Command) -> io::Result<Output> {
+    command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = Group::spawn(command)?;
+    let (stdout, stderr) = child.outputs();
+    let errors = std::thread::spawn(move || read(stderr));
+    let stdout = read(stdout)?;
+    let status = child.wait()?;
+    let stderr = errors.join().unwrap_or_else(|_| Err(io::Error::other("it cannot be read")))?;
+    Ok(Output { status, stdout, stderr })
+}
+
+fn read(stream: Option<impl Read>) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    stream.map_or(Ok(0), |mut stream| stream.read_to_end(&mut bytes))?;
+    Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use std::fs;
     use std::io::{BufRead, BufReader};
-    use std::process::Stdio;
     use std::thread::sleep;
     use std::time::Duration;
-
-    use rustix::process::kill_process;
 
     use super::*;
 
@@ -110,14 +177,26 @@ mod tests {
     }
 
     #[test]
-    fn a_group_whose_leader_was_reaped_is_not_signalled() {
-        let (mut group, child) = shell("exit");
-        while group.try_wait().expect("known").is_none() {
-            sleep(Duration::from_millis(5));
-        }
+    fn a_group_keeps_its_number_until_its_last_signal() {
+        let (mut group, child) = shell("kill -9 $$");
+        let state = format!("/proc/{}/stat", group.pid());
+        let state = || fs::read_to_string(&state).unwrap_or_default();
+        let status = group.wait().expect("status");
+        assert_eq!(status.signal(), Some(9));
+        assert_eq!(group.try_wait().expect("status"), Some(status));
+        assert!(state().contains(") Z "), "reaped before its group was killed: {}", state());
+        assert!(lives(child));
         group.kill();
-        sleep(Duration::from_millis(100));
-        assert!(lives(child), "its number may have been another group's");
-        kill_process(Pid::from_raw(child).expect("a number"), Signal::KILL).expect("killed");
+        assert_eq!(state(), "");
+        group.kill();
+    }
+
+    #[test]
+    fn the_output_of_a_program_is_whole() {
+        let mut command = Command::new("/bin/sh");
+        let output = output(command.args(["-c", "echo a; echo b >&2; exit 3"])).expect("started");
+        assert_eq!((&*output.stdout, &*output.stderr), (&b"a\n"[..], &b"b\n"[..]));
+        assert_eq!(output.status.code(), Some(3));
+        assert!(super::output(&mut Command::new("/nowhere/program")).is_err());
     }
 }

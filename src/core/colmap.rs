@@ -19,11 +19,13 @@ mod search;
 mod strategies;
 mod triangulate;
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::cancel::CancelToken;
+use crate::capture::MIN_VIEWS;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
@@ -35,6 +37,7 @@ pub use strategies::Acceptance;
 #[derive(Clone)]
 pub struct ColmapCli {
     program: PathBuf,
+    guarded: Vec<OsString>,
     limits: Limits,
     acceptance: Acceptance,
     matching: Option<Arc<dyn Matching>>,
@@ -51,10 +54,17 @@ impl ColmapCli {
     pub fn new(program: impl Into<PathBuf>) -> Self {
         Self {
             program: program.into(),
+            guarded: Vec::new(),
             limits: Limits::default(),
             acceptance: Acceptance::default(),
             matching: None,
         }
+    }
+
+    /// Sets the command that starts the program in a process that ends with this one.
+    #[must_use]
+    pub fn guarded_by(self, guarded: Vec<OsString>) -> Self {
+        Self { guarded, ..self }
     }
 
     /// Sets the time limits.
@@ -76,12 +86,17 @@ impl ColmapCli {
     /// COLMAP.
     pub fn version(&self) -> Result<String, PosesError> {
         let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
-        let runner = process::Runner::new(&self.program, limits, None)?;
+        let runner = process::Runner::new(&self.program, &[], limits, None)?;
         version(&runner, &CancelToken::new())
     }
-}
 
-impl ColmapCli {
+    /// Runs COLMAP for a request, with a log in its folder.
+    fn runner(&self, request: &PoseRequest<'_>) -> Result<process::Runner, PosesError> {
+        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
+        let log = request.work_dir.join("colmap.log");
+        process::Runner::new(&self.program, &self.guarded, self.limits, Some(&log))
+    }
+
     /// Sparse points for views of the request with known poses.
     ///
     /// # Errors
@@ -94,9 +109,7 @@ impl ColmapCli {
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Vec<SparsePoint>, PosesError> {
-        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
-        let log = request.work_dir.join("colmap.log");
-        let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
+        let runner = self.runner(request)?;
         let version = version(&runner, cancel)?;
         let points = search::Search::new(&runner, request, self.acceptance, None)
             .triangulate(posed, cancel)?;
@@ -106,9 +119,7 @@ impl ColmapCli {
         ));
         Ok(points)
     }
-}
 
-impl ColmapCli {
     /// Better poses than the `given` ones, in their world and at their scale, for the views of the
     /// request that have one or can be placed. `None` if the given ones fit the photographs as well
     /// as any that are found, or if there are no networks to check them.
@@ -123,12 +134,10 @@ impl ColmapCli {
         cancel: &CancelToken,
     ) -> Result<Option<Poses>, PosesError> {
         let start = Instant::now();
-        if self.matching.is_none() || request.views.len() < search::MIN_VIEWS {
+        if self.matching.is_none() || request.views.len() < MIN_VIEWS {
             return Ok(None);
         }
-        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
-        let log = request.work_dir.join("colmap.log");
-        let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
+        let runner = self.runner(request)?;
         let version = version(&runner, cancel)?;
         let search =
             search::Search::new(&runner, request, self.acceptance, self.matching.as_deref());
@@ -150,19 +159,12 @@ impl Sfm for ColmapCli {
     ) -> Result<Poses, PosesError> {
         let start = Instant::now();
         let total = request.views.len();
-        if total < search::MIN_VIEWS {
-            let advice = format!(
-                "a scene needs at least {} photographs, preferably 20 to 60",
-                search::MIN_VIEWS
-            );
+        if total < MIN_VIEWS {
+            let advice =
+                format!("a scene needs at least {} photographs, preferably 20 to 60", MIN_VIEWS);
             return Err(PosesError::TooFew { registered: 0, total, advice });
         }
-        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
-        let runner = process::Runner::new(
-            &self.program,
-            self.limits,
-            Some(&request.work_dir.join("colmap.log")),
-        )?;
+        let runner = self.runner(request)?;
         let version = version(&runner, cancel)?;
         sink.log(format!("poses: COLMAP {version} on {total} photographs"));
         let search =

@@ -36,5 +36,5 @@ pub mod splat;
 pub mod synthetic;
 pub mod video;
 
-pub use fled_capture::{camera, cancel, capture, dataset, image, mask, photo_path, plain};
-use fled_capture::{ffmpeg, group, linear};
+pub use fled_capture::{camera, cancel, capture, dataset, group, image, mask, photo_path, plain};
+use fled_capture::{ffmpeg, linear};

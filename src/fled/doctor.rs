@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::process::Command;
 
+use fled_capture::group;
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::{self, DeblurError, NetworkChoice};
 use fled_core::device::Device;
@@ -133,7 +134,7 @@ fn matcher(args: &Args) -> String {
 
 /// The version of FFmpeg. A machine without it can still read photographs.
 fn ffmpeg(args: &Args) -> String {
-    let output = Command::new(&args.ffmpeg.program).arg("-version").output();
+    let output = group::output(Command::new(&args.ffmpeg.program).arg("-version"));
     let first = output.map(|output| {
         let output = String::from_utf8_lossy(&output.stdout).into_owned();
         output.lines().next().unwrap_or("unknown version").to_owned()

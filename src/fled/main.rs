@@ -31,6 +31,7 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use failure::Failure;
+use fled_capture::group;
 use fled_core::pipeline::error::ErrorKind;
 
 /// Turns dark, noisy, shaken photographs of a place into a bright, sharp 3D scene.
@@ -98,9 +99,9 @@ enum Command {
     #[command(hide = true)]
     AssessWorker,
     /// Becomes a program that ends with the process that asks for it.
-    #[command(hide = true, name = fled_server::GUARD)]
+    #[command(hide = true, name = group::GUARD)]
     Guard {
-        /// Who asks, the program and its arguments.
+        /// The process that asks, the program and its arguments.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         command: Vec<OsString>,
     },
@@ -111,7 +112,7 @@ fn main() -> ExitCode {
     silence_device_select();
     let cli = Cli::parse();
     if let Command::Guard { command } = &cli.command {
-        return fled_server::become_guarded(command);
+        return group::become_guarded(command);
     }
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();

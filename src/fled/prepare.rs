@@ -20,7 +20,6 @@ use fled_core::capture::{
 use fled_core::event::ProgressSink;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::workspace::fingerprint;
-use fled_server::PARENT_VARIABLE;
 use indicatif::ProgressBar;
 use serde::{Deserialize, Serialize};
 
@@ -292,7 +291,6 @@ fn follow(
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
     let internal = |e: std::io::Error| Failure::new(ErrorKind::Internal, e);
-    command.env(PARENT_VARIABLE, std::process::id().to_string());
     command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
     let mut child = Group::spawn(command).map_err(internal)?;
     let (stdout, _) = child.outputs();

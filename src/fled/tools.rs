@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use fled_capture::group;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::colmap::ColmapCli;
@@ -54,8 +55,13 @@ impl Ffmpeg {
     /// # Errors
     /// [`Failure`] if the path of the running program is unknown.
     pub fn command(&self) -> Result<Vec<OsString>, Failure> {
-        fled_server::guarded(&self.program).map_err(|e| Failure::new(ErrorKind::Internal, e))
+        guarded(&self.program)
     }
+}
+
+/// The command that starts a program in a process that ends with this one.
+fn guarded(program: &Path) -> Result<Vec<OsString>, Failure> {
+    group::guarded(program).map_err(|e| Failure::new(ErrorKind::Internal, e))
 }
 
 /// Where networks that are not built in lie.
@@ -235,7 +241,7 @@ fn sfm(
     matching: Option<Arc<dyn Matching>>,
 ) -> Result<Box<dyn Sfm>, Failure> {
     let matching = matching.filter(|_| options.key_points == KeyPoints::Auto);
-    let colmap = ColmapCli::new(&args.colmap);
+    let colmap = ColmapCli::new(&args.colmap).guarded_by(guarded(&args.colmap)?);
     match (options.pose_source, &capture.poses) {
         (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(match matching {
             Some(matching) => Box::new(colmap.with_matching(matching)),

@@ -123,7 +123,8 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let renderer = Renderer::new(&device);
     let uploaded = renderer.upload(&scene.gaussians).map_err(PipelineError::from)?;
     drop(scene);
-    let target = Target { program: &args.ffmpeg.program, file: &args.output, fps: plan.fps() };
+    let command = args.ffmpeg.command()?;
+    let target = Target { command: &command, file: &args.output, fps: plan.fps() };
     let progress = Progress::new(args.json, cameras.len());
     video::write(&target, &cameras, |number, camera| {
         cancel.check()?;

@@ -33,8 +33,7 @@ pub use http::document as openapi_document;
 #[doc(hidden)]
 pub use http::read_tus_headers;
 pub use janitor::{Collected, GcOptions, Gone, gc};
-pub use process::PARENT_VARIABLE;
-pub use process::parent_death::{GUARD, become_guarded, die_with_parent, guarded};
+pub use process::die_with_parent;
 pub use serve::{Server, serve, work};
 pub use store::Retention;
 pub use transfer::{Backup, Migrated, backup, migrate};

@@ -1,19 +1,14 @@
-//! Child processes in separate groups, read line by line.
-//!
-//! A group is signalled only while its leader has not been reaped: afterwards the kernel may reuse
-//! its number for another group.
-
-pub mod parent_death;
+//! Child processes in separate groups, read line by line by the runtime.
 
 use std::ffi::OsString;
 use std::io;
-use std::os::unix::process::ExitStatusExt;
-use std::process::{ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process_group, waitid};
+use fled_core::group::{self, PARENT_VARIABLE};
+use rustix::process::Signal;
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
-use tokio::process::{Child, ChildStdin, Command};
+use tokio::process::{ChildStderr, ChildStdin, ChildStdout};
 use tokio::signal::unix::{self, SignalKind};
 use tokio::sync::mpsc;
 
@@ -26,8 +21,18 @@ pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
 /// Prefixes of variables that hold credentials of the service. Programs that read untrusted uploads
 /// must not see them.
 const SECRETS: [&str; 4] = ["FLED_TOKEN", "FLED_DB", "AWS_", "PG"];
-/// The variable that names the parent's process id to a child, so that it can end with its parent.
-pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
+
+/// Asks the kernel to end this process when the server that started it ends, for whatever reason.
+/// Does nothing in a process that no server started.
+///
+/// # Errors
+/// If that server has already gone, or the kernel refuses.
+pub fn die_with_parent() -> io::Result<()> {
+    match std::env::var_os(PARENT_VARIABLE) {
+        Some(parent) => group::die_with(&parent),
+        None => Ok(()),
+    }
+}
 
 /// A line of output.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -49,46 +54,17 @@ pub enum Happening {
     Ended(ExitStatus),
 }
 
-/// A running child and all processes it has started.
+/// A running child and all processes it has started, without blocking the runtime.
 #[derive(Debug)]
 pub struct Group {
-    child: Child,
-    pid: Pid,
-    ends: Ends,
+    inner: group::Group,
+    /// SIGCHLD: some child has ended.
+    children: unix::Signal,
     /// Whether [`Group::next`] has reported its end.
     is_reported: bool,
-    is_reaped: bool,
     /// Its standard input.
     pub stdin: Option<ChildStdin>,
     lines: mpsc::Receiver<Line>,
-}
-
-/// Notices the end of a child without reaping it.
-#[derive(Debug)]
-struct Ends {
-    /// SIGCHLD: some child has ended.
-    children: unix::Signal,
-    status: Option<ExitStatus>,
-}
-
-impl Ends {
-    /// Returns the exit status once the process has ended. Cancel-safe.
-    async fn status_of(&mut self, pid: Pid) -> io::Result<ExitStatus> {
-        loop {
-            if let Some(status) = self.status {
-                return Ok(status);
-            }
-            let look = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-            match waitid(WaitId::Pid(pid), look)? {
-                Some(ended) => {
-                    let signal = ended.terminating_signal();
-                    let code = ended.exit_status().unwrap_or_default() << 8;
-                    self.status = Some(ExitStatus::from_raw(signal.unwrap_or(code)));
-                }
-                None => _ = self.children.recv().await,
-            }
-        }
-    }
 }
 
 impl Group {
@@ -119,37 +95,27 @@ impl Group {
                 command.env_remove(name);
             }
         }
+        command.args(first).args(arguments).envs(variables.iter().copied());
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
         // Before the child starts: otherwise its end could be missed.
         let children = unix::signal(SignalKind::child())?;
-        let mut child = command
-            .args(first)
-            .args(arguments)
-            .envs(variables.iter().copied())
-            .env(PARENT_VARIABLE, std::process::id().to_string())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .process_group(0)
-            .kill_on_drop(true)
-            .spawn()?;
-        let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
-        let pid = pid.ok_or_else(|| io::Error::other("the process has no id"))?;
+        let mut inner = group::Group::spawn(&mut command)?;
         let (sender, lines) = mpsc::channel(QUEUE);
-        let (stdin, stdout, stderr) =
-            (child.stdin.take(), child.stdout.take(), child.stderr.take());
+        let (stdout, stderr) = inner.outputs();
         if let Some(stdout) = stdout {
+            let stdout = ChildStdout::from_std(stdout)?;
             tokio::spawn(read_lines(stdout, Line::Output, sender.clone()));
         }
         if let Some(stderr) = stderr {
-            tokio::spawn(read_lines(stderr, Line::Error, sender));
+            tokio::spawn(read_lines(ChildStderr::from_std(stderr)?, Line::Error, sender));
         }
-        let ends = Ends { children, status: None };
-        Ok(Self { child, pid, ends, is_reported: false, is_reaped: false, stdin, lines })
+        let stdin = inner.input().map(ChildStdin::from_std).transpose()?;
+        Ok(Self { inner, children, is_reported: false, stdin, lines })
     }
 
     /// The id of the process and of its group.
     pub fn pid(&self) -> i32 {
-        self.pid.as_raw_nonzero().get()
+        self.inner.pid()
     }
 
     /// Returns the next line, or `None` once both outputs are closed. Cancel-safe.
@@ -165,7 +131,7 @@ impl Group {
         tokio::select! {
             biased;
             line = self.lines.recv() => Ok(line.map_or(Happening::Closed, Happening::Line)),
-            status = self.ends.status_of(self.pid), if !self.is_reported => {
+            status = status_of(&mut self.inner, &mut self.children), if !self.is_reported => {
                 self.is_reported = true;
                 status.map(Happening::Ended)
             }
@@ -177,38 +143,33 @@ impl Group {
     /// # Errors
     /// When the operating system does not report the exit status.
     pub async fn wait(&mut self) -> io::Result<ExitStatus> {
-        self.ends.status_of(self.pid).await
+        status_of(&mut self.inner, &mut self.children).await
     }
 
     /// Asks the group to end, and kills all that is left of it after `grace`. Returns once the
     /// process has gone.
     pub async fn stop(&mut self, grace: Duration) {
-        self.signal(Signal::TERM);
+        self.inner.terminate();
         // Whether or not the leader ended in time, the rest of its group must go.
         let _ = tokio::time::timeout(grace, self.wait()).await;
-        self.signal(Signal::KILL);
-        match self.child.wait().await {
-            Ok(status) => {
-                self.ends.status = Some(status);
-                self.is_reaped = true;
-            }
-            Err(error) => {
-                tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
-            }
+        self.inner.signal(Signal::KILL);
+        if let Err(error) = self.wait().await {
+            tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
         }
-    }
-
-    fn signal(&self, signal: Signal) {
-        if !self.is_reaped {
-            // An empty group is no error: all its processes have ended.
-            let _ = kill_process_group(self.pid, signal);
-        }
+        self.inner.kill();
     }
 }
 
-impl Drop for Group {
-    fn drop(&mut self) {
-        self.signal(Signal::KILL);
+/// The exit status of a process once it has ended. Cancel-safe.
+async fn status_of(
+    group: &mut group::Group,
+    children: &mut unix::Signal,
+) -> io::Result<ExitStatus> {
+    loop {
+        if let Some(status) = group.try_wait()? {
+            return Ok(status);
+        }
+        children.recv().await;
     }
 }
 
@@ -274,20 +235,5 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(100)).await;
         let state = std::fs::read_to_string(format!("/proc/{grandchild}/stat")).unwrap_or_default();
         assert!(state.is_empty() || state.contains(") Z "), "the grandchild lives: {state}");
-    }
-
-    #[tokio::test]
-    async fn a_group_keeps_its_number_until_its_last_signal() {
-        let script = "trap '' TERM; sleep 60 >&- 2>&- & kill -9 $$";
-        let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
-        let state = format!("/proc/{}/stat", group.pid());
-        let state = || std::fs::read_to_string(&state).unwrap_or_default();
-        let status = group.wait().await.expect("status");
-        assert_eq!(status.signal(), Some(9));
-        assert_eq!(group.wait().await.expect("status"), status);
-        assert!(state().contains(") Z "), "reaped before its group was stopped: {}", state());
-        group.stop(Duration::ZERO).await;
-        assert_eq!(state(), "");
-        group.stop(Duration::ZERO).await;
     }
 }

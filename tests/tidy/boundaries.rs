@@ -13,7 +13,7 @@ struct Boundary {
     reason: &'static str,
 }
 
-const BOUNDARIES: [Boundary; 8] = [
+const BOUNDARIES: [Boundary; 9] = [
     Boundary {
         within: &["src/", "tests/"],
         except: &["src/gpu/", "tests/tidy/"],
@@ -25,6 +25,12 @@ const BOUNDARIES: [Boundary; 8] = [
         except: &[],
         words: &["axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite"],
         reason: "the core has no HTTP, no SQL, no async runtime and no command line",
+    },
+    Boundary {
+        within: &["src/"],
+        except: &["src/capture/group.rs"],
+        words: &["process_group", "kill_process_group", "kill_on_drop"],
+        reason: "there is one way to run a child process",
     },
     Boundary {
         within: &["src/capture/", "src/core/", "src/lab/"],

@@ -2,6 +2,7 @@
 //! cancellation and when this process dies.
 
 use std::collections::VecDeque;
+use std::ffi::OsString;
 use std::fs::File;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
@@ -45,8 +46,9 @@ pub(super) struct Runner {
     program: PathBuf,
     limits: Limits,
     log: Option<Mutex<Log>>,
-    /// Whether `setpriv` is available to tie the child's life to this process.
-    setpriv: bool,
+    /// The command that starts the program in a process that ends with this one; empty if there
+    /// is none.
+    guarded: Vec<OsString>,
 }
 
 /// A file that stops growing at [`LOG_BYTES`] with a note.
@@ -96,23 +98,23 @@ impl Finished {
 }
 
 impl Runner {
-    /// A runner of `program`, with its output appended to `log`.
-    pub fn new(program: &Path, limits: Limits, log: Option<&Path>) -> Result<Self, PosesError> {
+    /// A runner of `program`, started by `guarded` unless that is empty, with its output written to
+    /// `log`.
+    pub fn new(
+        program: &Path,
+        guarded: &[OsString],
+        limits: Limits,
+        log: Option<&Path>,
+    ) -> Result<Self, PosesError> {
         let open = |path: &Path| {
             let file = File::create(path).map_err(PosesError::io(path))?;
             Ok::<_, PosesError>(Mutex::new(Log { file, left: LOG_BYTES }))
         };
-        let setpriv = Command::new("setpriv")
-            .args(["--pdeathsig", "KILL", "true"])
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
         Ok(Self {
             program: program.to_owned(),
+            guarded: guarded.to_vec(),
             limits,
             log: log.map(open).transpose()?,
-            setpriv: setpriv.is_ok_and(|status| status.success()),
         })
     }
 
@@ -155,12 +157,13 @@ impl Runner {
             reason: source.to_string(),
         };
         // `help` runs first and directly, so a missing program gives the system's own error.
-        let mut process = if self.setpriv && command != "help" {
-            let mut process = Command::new("setpriv");
-            process.args(["--pdeathsig", "KILL", "--"]).arg(&self.program);
-            process
-        } else {
-            Command::new(&self.program)
+        let mut process = match self.guarded.split_first() {
+            Some((guard, arguments)) if command != "help" => {
+                let mut process = Command::new(guard);
+                process.args(arguments);
+                process
+            }
+            _ => Command::new(&self.program),
         };
         process.arg(command).args(arguments).env("QT_QPA_PLATFORM", "offscreen");
         process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());

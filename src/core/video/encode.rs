@@ -1,12 +1,15 @@
 //! Encodes pictures as H.264 in MP4 with ffmpeg.
 
+use std::ffi::OsString;
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf, absolute};
-use std::process::{Child, ChildStdin, Stdio};
+use std::process::{ChildStdin, Stdio};
+use std::time::Duration;
 
 use crate::camera::Camera;
-use crate::ffmpeg::{Words, command, last_line};
+use crate::ffmpeg::{NOT_FOUND, Words, command, last_line};
+use crate::group::Group;
 use crate::image::Image;
 
 /// x264's quality: no visible loss.
@@ -59,8 +62,9 @@ impl EncodeError {
 /// The output of a video and the program that writes it.
 #[derive(Clone, Copy, Debug)]
 pub struct Target<'a> {
-    /// ffmpeg.
-    pub program: &'a Path,
+    /// ffmpeg, or a program that starts it with the arguments that follow, and exits with 127 if
+    /// it is not found.
+    pub command: &'a [OsString],
     /// The file; it exists only when complete.
     pub file: &'a Path,
     /// Pictures a second.
@@ -99,7 +103,8 @@ fn io_error(path: &Path) -> impl FnOnce(io::Error) -> EncodeError {
 
 /// An ffmpeg process that receives pictures; it and its output are removed if dropped early.
 struct Encoder {
-    child: Child,
+    child: Group,
+    program: String,
     pictures: Option<ChildStdin>,
     words: Words,
     file: PathBuf,
@@ -115,7 +120,13 @@ impl Encoder {
         // A name may begin like an option.
         let file = absolute(file).map_err(io_error(file))?;
         let fps = target.fps.to_string();
-        let mut command = command(target.program, &[]);
+        let program = target.command.last().map(|program| program.to_string_lossy());
+        let program = program.unwrap_or_default().into_owned();
+        let missing = |reason: String| EncodeError::Missing { program: program.clone(), reason };
+        let Some((first, arguments)) = target.command.split_first() else {
+            return Err(missing("no program is named".to_owned()));
+        };
+        let mut command = command(first, arguments);
         command
             .args(["-y", "-f", "rawvideo", "-pixel_format", "rgb24"])
             .args(["-video_size", &format!("{width}x{height}")])
@@ -129,15 +140,12 @@ impl Encoder {
             .stdin(Stdio::piped())
             .stdout(Stdio::null())
             .stderr(Stdio::piped());
-        // In our own process group: a signal to the group ends ffmpeg, too.
-        let mut child = command.spawn().map_err(|source| EncodeError::Missing {
-            program: target.program.display().to_string(),
-            reason: source.to_string(),
-        })?;
+        let mut child = Group::spawn(&mut command).map_err(|source| missing(source.to_string()))?;
         Ok(Self {
-            pictures: child.stdin.take(),
-            words: Words::of(child.stderr.take()),
+            pictures: child.input(),
+            words: Words::of(child.outputs().1),
             child,
+            program,
             file,
             is_whole: false,
         })
@@ -163,10 +171,17 @@ impl Encoder {
     }
 
     fn refused(&mut self) -> EncodeError {
-        // A process that accepts no more input has nothing left to do.
-        let _ = self.child.kill();
         let reason = last_line(&self.words.all(&self.file)).to_owned();
-        EncodeError::Refused { reason }
+        // It has closed its outputs, so it has ended or is about to.
+        std::thread::sleep(Duration::from_millis(20));
+        let is_missing =
+            matches!(self.child.try_wait(), Ok(Some(s)) if s.code() == Some(NOT_FOUND));
+        // A process that accepts no more input has nothing left to do.
+        self.child.kill();
+        match is_missing {
+            true => EncodeError::Missing { program: self.program.clone(), reason },
+            false => EncodeError::Refused { reason },
+        }
     }
 }
 
@@ -176,8 +191,7 @@ impl Drop for Encoder {
             return;
         }
         // It may have exited without writing anything; only leave nothing behind.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.child.kill();
         let _ = fs::remove_file(&self.file);
     }
 }

@@ -188,7 +188,7 @@ fn picture(number: usize, camera: &Camera) -> Image {
 fn made(file: &Path, program: &str) -> Result<(), EncodeError> {
     let plan = Plan { seconds: Some(1.0), ..Plan::new(Kind::Orbit) };
     let cameras = plan.cameras(&ring(60.0)).expect("cameras");
-    let target = Target { program: Path::new(program), file, fps: plan.fps() };
+    let target = Target { command: &[program.into()], file, fps: plan.fps() };
     write(&target, &cameras, |number, camera| Ok(picture(number, camera)))
 }
 
@@ -253,13 +253,21 @@ fn a_failure_gives_its_reason_and_leaves_no_file() {
     let missing = made(&file, "no-such-ffmpeg").expect_err("no program");
     assert!(matches!(missing, EncodeError::Missing { .. }), "{missing}");
     assert!(missing.hint().contains("apt-get install ffmpeg"));
+    let launcher = folder.path().join("launcher");
+    std::fs::write(&launcher, "#!/bin/sh\necho nothing there >&2; exit 127").expect("written");
+    let executable = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    std::fs::set_permissions(&launcher, executable).expect("allowed");
+    let missing = made(&file, launcher.to_str().expect("UTF-8")).expect_err("no program");
+    assert!(missing.to_string().ends_with("nothing there"), "{missing}");
+    assert!(matches!(missing, EncodeError::Missing { .. }), "{missing}");
+    std::fs::remove_file(launcher).expect("removed");
     let nowhere = folder.path().join("none/a.mp4");
     let refused = made(&nowhere, "ffmpeg").expect_err("no folder");
     let words = refused.to_string();
     assert!(matches!(refused, EncodeError::Refused { .. }), "{words}");
     assert!(words.contains("No such file"), "{words}");
     let cameras = Plan::new(Kind::Orbit).cameras(&ring(60.0)).expect("cameras");
-    let target = Target { program: Path::new("ffmpeg"), file: &file, fps: 24 };
+    let target = Target { command: &["ffmpeg".into()], file: &file, fps: 24 };
     let stopped = write(&target, &cameras, |number, camera| match number {
         3 => Err(EncodeError::Refused { reason: "enough".to_owned() }),
         _ => Ok(picture(number, camera)),

@@ -3,15 +3,13 @@
 
 use std::ffi::{OsStr, OsString};
 use std::io::{BufRead, BufReader, Read};
-use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitStatus, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::Duration;
 
+use fled_capture::group::{self, Group};
 use fled_core::cancel::CancelToken;
 use fled_lab::evaluation::suite::error::SuiteError;
-use fled_server::PARENT_VARIABLE;
-use rustix::process::{Pid, Signal, kill_process};
 
 use crate::failure::Failure;
 use crate::tools;
@@ -47,7 +45,7 @@ impl Program {
     /// # Errors
     /// [`SuiteError`] if the program cannot be started or prints anything else.
     pub fn asked(&self, words: &[&str]) -> Result<serde_json::Value, SuiteError> {
-        let output = self.command(words).stdout(Stdio::piped()).output();
+        let output = group::output(&mut self.command(words));
         let output = output.map_err(SuiteError::io(&self.path))?;
         serde_json::from_slice(&output.stdout).map_err(|error| {
             let message = String::from_utf8_lossy(&output.stderr);
@@ -64,13 +62,10 @@ impl Program {
         words: &[OsString],
         cancel: &CancelToken,
     ) -> Result<Result<(), String>, SuiteError> {
-        let mut child = self
-            .command(words)
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .map_err(SuiteError::io(&self.path))?;
-        let errors = child.stderr.take();
+        let mut command = self.command(words);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = Group::spawn(&mut command).map_err(SuiteError::io(&self.path))?;
+        let (_, errors) = child.outputs();
         let reader = std::thread::spawn(move || errors.map_or(String::new(), last_error));
         let status = wait(&mut child, cancel).map_err(SuiteError::io(&self.path))?;
         cancel.check()?;
@@ -79,22 +74,15 @@ impl Program {
         Ok(verdict(status, line))
     }
 
-    /// In its own process group: terminal signals reach this process, which forwards them.
     fn command<W: AsRef<OsStr>>(&self, words: &[W]) -> Command {
         let mut command = Command::new(&self.path);
-        command
-            .args(words)
-            .envs(self.environment.iter().map(|(key, value)| (key, value)))
-            .env(PARENT_VARIABLE, std::process::id().to_string())
-            .stdin(Stdio::null())
-            .stderr(Stdio::piped())
-            .process_group(0);
+        command.args(words).envs(self.environment.iter().map(|(key, value)| (key, value)));
         command
     }
 }
 
 /// Waits for the end of a child, and terminates it on cancellation.
-fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
+fn wait(child: &mut Group, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
     let mut signalled = false;
     loop {
         if let Some(status) = child.try_wait()? {
@@ -102,10 +90,7 @@ fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> 
         }
         if cancel.check().is_err() && !signalled {
             signalled = true;
-            if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
-                // The child may just have ended.
-                let _ = kill_process(pid, Signal::TERM);
-            }
+            child.terminate();
         }
         std::thread::sleep(PAUSE);
     }

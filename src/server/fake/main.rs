@@ -17,10 +17,11 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
+use fled_core::group::{GUARD, become_guarded};
 use fled_core::image::Image;
 use fled_server::render::{RenderRequest, Shown};
 use fled_server::validator::{AssessReply, AssessRequest, assess};
-use fled_server::{GUARD, Limits, Retention, ServeConfig, become_guarded};
+use fled_server::{Limits, Retention, ServeConfig};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 

@@ -12,6 +12,7 @@ use std::time::Duration;
 
 use fled_core::camera::{Camera, NamedCamera};
 use fled_core::event::Event;
+use fled_core::group::guarded;
 use fled_core::image::Image;
 use fled_core::video::{EncodeError, Plan, Target, write};
 
@@ -23,7 +24,7 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
     let views: Vec<NamedCamera> = serde_json::from_slice(&fs::read(views)?)?;
     let cameras = plan.cameras(&views)?;
     let (program, file) = (argument(arguments, "--ffmpeg")?, argument(arguments, "--output")?);
-    let target = Target { program: &program, file: &file, fps: plan.fps() };
+    let target = Target { command: &guarded(&program)?, file: &file, fps: plan.fps() };
     let total = cameras.len();
     let picture = |number: usize, camera: &Camera| {
         match plan.fps() {

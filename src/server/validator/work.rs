@@ -7,12 +7,12 @@ use std::path::Path;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{VideoError, Wanted, take_frames};
 use fled_core::capture::{DecodeBudget, Look, Watch};
+use fled_core::group::guarded;
 use fled_core::image::{Image, ImageError, Srgb};
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 use crate::files::data::thumbnail;
-use crate::process::parent_death::guarded;
 use crate::validation::{self, CaptureReport};
 
 /// Long side of a thumbnail, px.

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use super::error::VideoError;
 use crate::cancel::CancelToken;
-use crate::ffmpeg::{Words, command, last_line};
+use crate::ffmpeg::{NOT_FOUND, Words, command, last_line};
 use crate::group::Group;
 
 /// Maximum number of pixels of a decoded frame.
@@ -23,9 +23,6 @@ const POLL: Duration = Duration::from_millis(50);
 
 /// Codecs that phones and cameras write into MP4 and MOV, by the names of ffmpeg's decoders.
 const CODECS: &str = "h264,hevc,mpeg4,vp9,libvpx-vp9,av1,libdav1d,libaom-av1,mjpeg,prores,dnxhd";
-
-/// Exit code of launchers that do not find their program. ffmpeg does not use it.
-const NOT_FOUND: i32 = 127;
 
 /// A program and its input.
 pub(super) struct Ffmpeg<'a> {

@@ -8,8 +8,6 @@ use std::process::{Command, ExitCode};
 
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
-use super::PARENT_VARIABLE;
-
 /// The subcommand that turns this program into another one: see [`become_guarded`].
 pub const GUARD: &str = "guard";
 
@@ -17,21 +15,14 @@ pub const GUARD: &str = "guard";
 const NOT_FOUND: u8 = 127;
 const NOT_STARTED: u8 = 126;
 
-/// Asks the kernel to end this process when the server that started it ends, for whatever reason.
-/// Does nothing in a process that no server started.
+/// Asks the kernel to end this process when its parent, the process with the id `parent`, ends for
+/// whatever reason.
 ///
 /// # Errors
-/// If that server has already gone, or the kernel refuses.
-pub fn die_with_parent() -> io::Result<()> {
-    match std::env::var_os(PARENT_VARIABLE) {
-        Some(parent) => die_with(&parent),
-        None => Ok(()),
-    }
-}
-
-fn die_with(parent: &OsStr) -> io::Result<()> {
+/// If the parent has already gone, or the kernel refuses.
+pub fn die_with(parent: &OsStr) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // The server may have ended before the request.
+    // It may have ended before the request.
     let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
     if now.is_some_and(|now| *parent == *now) {
         return Ok(());
@@ -60,7 +51,7 @@ pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
 /// failure, with the exit code of a shell.
 pub fn become_guarded(arguments: &[OsString]) -> ExitCode {
     let [parent, program, arguments @ ..] = arguments else {
-        eprintln!("whom to end with, a program and its arguments are wanted");
+        eprintln!("give a process to end with, a program and its arguments");
         return ExitCode::FAILURE;
     };
     // The death signal survives `exec`.
