@@ -56,7 +56,7 @@ pub struct GivenSfm {
 
 impl GivenSfm {
     /// # Errors
-    /// [`PosesError::BadFile`] for poses that could not be read.
+    /// [`PosesError::File`] for poses that could not be read.
     pub fn new(given: &CapturePoses) -> Result<Self, PosesError> {
         let placed = match &given.placement {
             Placement::Placed(placed) => placed.clone(),

@@ -8,7 +8,7 @@ mod picture;
 pub mod pnp;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 pub use fled_capture::poses::*;
 use glam::DVec3;
@@ -261,22 +261,9 @@ pub enum PosesError {
         /// The cause.
         detail: String,
     },
-    /// Given poses that are unusable, or a model that cannot be read.
-    #[error("{}: {reason}", name_of(file))]
-    BadFile {
-        /// The file at fault.
-        file: PathBuf,
-        /// The fault.
-        reason: String,
-    },
-    /// Reading or writing failed.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// The path.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
+    /// Given poses, a model or a picture that cannot be used, read or written.
+    #[error(transparent)]
+    File(#[from] PoseFileError),
     /// Cancelled.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
@@ -293,15 +280,6 @@ pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
     )
 }
 
-impl From<PoseFileError> for PosesError {
-    fn from(error: PoseFileError) -> Self {
-        match error {
-            PoseFileError::BadFile { file, reason } => Self::BadFile { file, reason },
-            PoseFileError::Io { path, source } => Self::Io { path, source },
-        }
-    }
-}
-
 impl PosesError {
     /// Whether the tool failed at the task itself, so that a smaller or different task may succeed.
     pub fn is_about_the_tool(&self) -> bool {
@@ -310,12 +288,12 @@ impl PosesError {
 
     /// An adapter for `map_err` that adds the path.
     pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
-        let path = path.to_owned();
-        move |source| Self::Io { path, source }
+        let failed = PoseFileError::io(path);
+        move |source| failed(source).into()
     }
 
-    /// A [`PosesError::BadFile`].
+    /// A file with unusable content.
     pub fn bad_file(file: &Path, reason: impl Into<String>) -> Self {
-        Self::BadFile { file: file.to_owned(), reason: reason.into() }
+        PoseFileError::bad_file(file, reason).into()
     }
 }

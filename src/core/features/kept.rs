@@ -41,7 +41,7 @@ impl KeptMatches {
     /// cannot be read have been removed from the cache.
     ///
     /// # Errors
-    /// [`PosesError::Io`].
+    /// [`PosesError::File`].
     pub fn open(keeping: Option<Keeping<'_>>, describe: &str) -> Result<Self, PosesError> {
         let Some(Keeping { file: path, stamp, earlier }) = keeping else {
             return Ok(Self { known: Mutex::default(), file: None, lent: HashMap::new() });
@@ -92,7 +92,7 @@ impl KeptMatches {
     /// Keeps the matches of a pair.
     ///
     /// # Errors
-    /// [`PosesError::Io`].
+    /// [`PosesError::File`].
     pub fn keep(&self, key: Key, matches: Matches) -> Result<(), PosesError> {
         let mut known = self.lock();
         if let Some((path, file)) = &self.file {

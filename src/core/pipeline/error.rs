@@ -11,7 +11,7 @@ use crate::capture::CaptureError;
 use crate::deblur::DeblurError;
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
-use crate::poses::PosesError;
+use crate::poses::{PoseFileError, PosesError};
 use crate::reconstruct::ReconstructError;
 use crate::render::SplatError;
 use fled_gpu::GpuError;
@@ -229,8 +229,8 @@ fn poses_kind(error: &PosesError) -> ErrorKind {
         PosesError::Missing { .. } => ErrorKind::Environment,
         PosesError::Timeout { .. } => ErrorKind::Timeout,
         PosesError::Tool { .. } | PosesError::Matching { .. } => ErrorKind::Internal,
-        PosesError::BadFile { .. } => ErrorKind::BadInput,
-        PosesError::Io { .. } => ErrorKind::Io,
+        PosesError::File(PoseFileError::BadFile { .. }) => ErrorKind::BadInput,
+        PosesError::File(PoseFileError::Io { .. }) => ErrorKind::Io,
         PosesError::Cancelled(_) => ErrorKind::Cancelled,
     }
 }

@@ -32,8 +32,8 @@ pub trait Matching: Send + Sync {
     /// the number of pictures and pairs done and the total.
     ///
     /// # Errors
-    /// [`PosesError::Matching`] if the networks fail, [`PosesError::BadFile`],
-    /// [`PosesError::Io`] if matches cannot be kept, [`PosesError::Cancelled`].
+    /// [`PosesError::Matching`] if the networks fail, [`PosesError::File`] if a picture cannot be
+    /// read or matches cannot be kept, [`PosesError::Cancelled`].
     fn matches(
         &self,
         pictures: &[PathBuf],
