@@ -12,6 +12,7 @@ mod error;
 mod folders;
 mod heads;
 mod layout;
+mod limits;
 mod look;
 mod masked;
 mod masks;
@@ -46,7 +47,8 @@ pub use budget::DecodeBudget;
 pub use entries::NAMES;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use folders::is_of_a_run;
-pub use look::on_few_threads;
+pub use limits::{PHOTOGRAPH_TIME, READER_MEMORY, limit_reader, reader_memory};
+pub use look::{ASSESSED_SIDE, on_few_threads};
 pub use masks::masks_in;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
 pub use pose_files::GivenPosesFile;
@@ -97,37 +99,6 @@ pub struct Capture {
     pub fingerprint: String,
 }
 
-/// The assessment of an upload whose images are not prepared.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Inspection {
-    /// Number of photographs that can be used.
-    pub accepted: usize,
-    /// As [`Capture::photographs`].
-    pub photographs: Vec<PhotoPath>,
-    /// As [`Capture::assessments`].
-    pub assessments: Vec<Assessment>,
-    /// As [`Capture::warnings`].
-    pub warnings: Vec<CaptureWarning>,
-    /// As [`Capture::poses`].
-    pub poses: Option<CapturePoses>,
-}
-
-impl Inspection {
-    /// Inspects a folder or a zip. A zip is unpacked to `unpacked/` under `scratch_dir` (recreated,
-    /// and removed again on failure); a folder stays where it is. Every photograph is decoded once;
-    /// an unusable one is rejected on its own.
-    ///
-    /// # Errors
-    /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
-    pub fn of(path: &Path, scratch_dir: &Path, watch: &Watch<'_>) -> Result<Self, CaptureError> {
-        let layout = Source::of(path)?.layout(&scratch_dir.join("unpacked"))?;
-        let assessed = assess::assess(&layout, watch, None).map_err(CaptureError::io(path))?;
-        let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
-        let poses = placed(layout.poses.as_ref(), &photographs, &views);
-        Ok(Self { accepted: views.len(), photographs, assessments, warnings, poses })
-    }
-}
-
 impl Capture {
     /// Prepares a capture in `prepared/` under `scratch_dir`, with images of at most
     /// [`PREPARED_SIDE`] px.
@@ -151,8 +122,8 @@ impl Capture {
     /// already prepared there is not decoded again. A zip is unpacked there while it is read.
     ///
     /// # Errors
-    /// As [`Inspection::of`]; [`CaptureError::Io`] if an image cannot be written;
-    /// [`CaptureError::Occupied`] if the folder has other files.
+    /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments, and
+    /// [`CaptureError::Occupied`] is for a folder with other files.
     pub fn prepare(
         path: &Path,
         out: &Path,
@@ -161,7 +132,7 @@ impl Capture {
     ) -> Result<Self, CaptureError> {
         let preparation = Preparation::new(out, side);
         let source = Source::of(path)?;
-        let contents = source.contents()?;
+        let (contents, fingerprint) = source.contents()?;
         preparation.expect_free()?;
         let lock = preparation.lock()?;
         if let Some(capture) = preparation.before(&contents) {
@@ -169,7 +140,7 @@ impl Capture {
         }
         preparation.begin()?;
         let prepared = source.layout(&preparation.unpacked()).and_then(|layout| {
-            let capture = Self::of(&layout, &preparation, watch)?;
+            let capture = Self::of(&layout, fingerprint, &preparation, watch)?;
             preparation.keep(&contents, &capture)?;
             Ok(capture)
         });
@@ -183,11 +154,12 @@ impl Capture {
 
     fn of(
         layout: &Layout,
+        fingerprint: Option<String>,
         preparation: &Preparation,
         watch: &Watch<'_>,
     ) -> Result<Self, CaptureError> {
-        let fingerprint = layout.fingerprint()?;
-        let assessed = assess::assess(layout, watch, Some(preparation))
+        let fingerprint = fingerprint.map_or_else(|| layout.fingerprint(), Ok)?;
+        let assessed = assess::assess(layout, watch, preparation)
             .map_err(CaptureError::io(&preparation.folder))?;
         let Assessed { views, photographs, assessments, warnings } = enough(assessed)?;
         let poses = placed(layout.poses.as_ref(), &photographs, &views);
@@ -294,15 +266,18 @@ impl<'a> Source<'a> {
         })
     }
 
-    /// A digest of all that is read.
-    fn contents(&self) -> Result<String, CaptureError> {
+    /// A digest of all that is read, and the fingerprint if it is known without unpacking.
+    fn contents(&self) -> Result<(String, Option<String>), CaptureError> {
         match self {
-            Self::Folder(layout) => Ok(format!("{} {}", layout.fingerprint()?, layout.files)),
+            Self::Folder(layout) => {
+                let fingerprint = layout.fingerprint()?;
+                Ok((format!("{fingerprint} {}", layout.files), Some(fingerprint)))
+            }
             Self::Zip(path) => {
                 let mut hasher = blake3::Hasher::new();
                 let file = File::open(path).map_err(CaptureError::io(path))?;
                 hasher.update_reader(file).map_err(CaptureError::io(path))?;
-                Ok(format!("zip {}", hasher.finalize().to_hex()))
+                Ok((format!("zip {}", hasher.finalize().to_hex()), None))
             }
         }
     }

@@ -318,7 +318,7 @@ impl WorkFolder {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::capture::{Inspection, Watch, is_of_a_run};
+    use crate::capture::{Capture, is_of_a_run};
     use crate::image::{Image, Srgb};
     use crate::pipeline::config::Options;
 
@@ -336,8 +336,8 @@ mod tests {
         }
         let options = serde_json::to_vec_pretty(&Options::default()).expect("JSON");
         std::fs::write(dir.path().join("out/config.json"), options).expect("written");
-        let inspection = Inspection::of(dir.path(), dir.path(), &Watch::silent());
-        assert_eq!(inspection.expect("a capture").photographs.len(), 3);
+        let capture = Capture::open(dir.path(), &dir.path().join(".scratch"));
+        assert_eq!(capture.expect("a capture").photographs.len(), 3);
     }
 
     #[test]

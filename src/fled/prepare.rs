@@ -8,14 +8,15 @@ use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{self, RecvTimeoutError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::builder::RangedU64ValueParser;
 use fled_capture::group::Group;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
 use fled_core::capture::{
-    Assessment, Capture, CaptureError, Look, MIN_VIEWS, PREPARED_SIDE, Watch,
+    Assessment, Capture, CaptureError, Look, MIN_VIEWS, PHOTOGRAPH_TIME, PREPARED_SIDE, Watch,
+    limit_reader, reader_memory,
 };
 use fled_core::event::ProgressSink;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
@@ -28,6 +29,10 @@ use crate::tools;
 
 /// How often a waiting run checks whether it was cancelled.
 const LOOK: Duration = Duration::from_millis(100);
+
+/// The hint for a photograph that crashes its decoder or keeps it busy.
+const SAVE_ANEW: &str =
+    "Remove it from the capture or save it in another format, if memory has not run out.";
 
 /// The signals of a crash: SIGILL, SIGABRT, SIGFPE and SIGSEGV.
 const CRASHES: [i32; 4] = [4, 6, 8, 11];
@@ -174,6 +179,9 @@ fn prepare(
         Look::Ended(name) => report(Message::Ended { name: name.to_owned() }),
         Look::Seen(..) => {}
     };
+    // ffmpeg, which has read the video by now, has limits of its own.
+    limit_reader(reader_memory(args.size))
+        .map_err(|error| (Failure::new(ErrorKind::Environment, error), Vec::new()))?;
     let watch = Watch { tell: &tell, ..Watch::silent() };
     let capture = Capture::prepare(&photographs, &args.out, args.size, &watch);
     if !args.keep_frames {
@@ -257,7 +265,7 @@ pub fn open(
         command.args(["--size", &side.to_string(), "--frames", &source.frames.to_string()]);
         command.arg(option("--out=", out)).arg(option("--ffmpeg=", &source.ffmpeg.program));
         command.arg("--").arg(&source.capture);
-        follow(&mut command, sink, cancel)?;
+        follow(&mut command, PHOTOGRAPH_TIME, sink, cancel)?;
         Capture::prepared(out).map_err(PipelineError::from)?
     };
     show(&capture.assessments, sink);
@@ -284,9 +292,10 @@ fn show(assessments: &[Assessment], sink: &mut dyn ProgressSink) {
     }
 }
 
-/// Runs the child to its end.
+/// Runs the child to its end; a photograph that takes longer than `patience` ends it.
 fn follow(
     command: &mut Command,
+    patience: Duration,
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
@@ -301,16 +310,24 @@ fn follow(
         // The receiver goes only after the child.
         messages.map_while(|message| sender.send(message).ok()).for_each(drop);
     });
-    let mut in_work: Vec<String> = Vec::new();
+    let mut in_work: Vec<(String, Instant)> = Vec::new();
     loop {
         if cancel.is_cancelled() {
             child.kill();
             return Err(Failure::new(ErrorKind::Cancelled, "cancelled"));
         }
+        if let Some((name, _)) = in_work.iter().find(|(_, begun)| begun.elapsed() > patience) {
+            child.kill();
+            let detail = format!("reading {name} did not finish within {} s", patience.as_secs());
+            return Err(Failure {
+                hint: SAVE_ANEW.to_owned(),
+                ..Failure::new(ErrorKind::BadInput, detail)
+            });
+        }
         match messages.recv_timeout(LOOK) {
-            Ok(Message::Begins { name }) => in_work.push(name),
+            Ok(Message::Begins { name }) => in_work.push((name, Instant::now())),
             Ok(Message::Ended { name }) => {
-                let at = in_work.iter().position(|begun| *begun == name);
+                let at = in_work.iter().position(|(begun, _)| *begun == name);
                 at.map(|at| in_work.swap_remove(at));
             }
             Ok(Message::Warning { code, message }) => sink.warn(&code, message),
@@ -323,7 +340,8 @@ fn follow(
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                return Err(died(child.wait().map_err(internal)?, &in_work));
+                let names: Vec<String> = in_work.into_iter().map(|(name, _)| name).collect();
+                return Err(died(child.wait().map_err(internal)?, &names));
             }
         }
     }
@@ -340,10 +358,7 @@ fn died(status: ExitStatus, in_work: &[String]) -> Failure {
     let is_crash = status.signal().is_some_and(|signal| CRASHES.contains(&signal));
     let (kind, hint) = match (status.signal(), in_work) {
         (Some(9), _) => (ErrorKind::OomHost, "Memory may have run out: close other programs."),
-        (_, [_, ..]) if is_crash => (
-            ErrorKind::BadInput,
-            "Remove it from the capture or save it in another format, if memory has not run out.",
-        ),
+        (_, [_, ..]) if is_crash => (ErrorKind::BadInput, SAVE_ANEW),
         _ => (ErrorKind::Internal, ErrorKind::Internal.hint()),
     };
     Failure { hint: hint.to_owned(), ..Failure::new(kind, detail) }
@@ -355,7 +370,8 @@ mod tests {
     use fled_core::event::{Event, Silent};
 
     fn run(script: &str, sink: &mut dyn ProgressSink) -> Result<(), Failure> {
-        follow(Command::new("sh").args(["-c", script]), sink, &CancelToken::new())
+        let patience = Duration::from_secs(1);
+        follow(Command::new("sh").args(["-c", script]), patience, sink, &CancelToken::new())
     }
 
     #[test]
@@ -366,6 +382,10 @@ mod tests {
         let failure = run(&script, &mut Silent).expect_err("it died");
         assert_eq!(failure.kind, ErrorKind::BadInput);
         assert!(failure.detail.contains("while reading b.jpg"), "{}", failure.detail);
+        let failure = run(&format!("{} sleep 60", begins("c.jpg")), &mut Silent);
+        let failure = failure.expect_err("it takes too long");
+        assert_eq!(failure.kind, ErrorKind::BadInput);
+        assert_eq!(failure.detail, "reading c.jpg did not finish within 1 s");
         let failure = run("kill -KILL $$", &mut Silent).expect_err("it died");
         assert_eq!(failure.kind, ErrorKind::OomHost);
         let failure = run("exit 0", &mut Silent).expect_err("no last word");
@@ -395,8 +415,10 @@ mod tests {
         for script in ["sleep 30", busy] {
             let cancel = CancelToken::new();
             cancel.cancel();
-            let begun = std::time::Instant::now();
-            let outcome = follow(Command::new("sh").args(["-c", script]), &mut Silent, &cancel);
+            let begun = Instant::now();
+            let mut command = Command::new("sh");
+            command.args(["-c", script]);
+            let outcome = follow(&mut command, PHOTOGRAPH_TIME, &mut Silent, &cancel);
             assert_eq!(outcome.expect_err("cancelled").kind, ErrorKind::Cancelled);
             assert!(begun.elapsed().as_secs() < 10);
         }

@@ -6,7 +6,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use fled_core::capture::MAX_FILES;
+use fled_core::capture::{MAX_FILES, PHOTOGRAPH_TIME, READER_MEMORY};
 use fled_core::pipeline::error::ErrorKind;
 
 use crate::failpoint::Watcher;
@@ -151,13 +151,11 @@ pub struct Limits {
     pub max_decoding_bytes: u64,
     /// Maximum validation processes at a time; further uploads wait.
     pub validators: usize,
-    /// Address space of such a process, and of the one that reads a video, in bytes. A frame with
-    /// the maximum number of pixels takes 120 MB in 10 bits, and decoders keep up to 17 frames plus
-    /// one per thread.
+    /// Address space of such a process, and of the one that reads a video, in bytes.
     pub assessing_bytes: u64,
     /// Maximum time to validate an upload; a video takes up to eight minutes of it.
     pub assessing: Duration,
-    /// Maximum time to validate a photograph. The largest take seconds.
+    /// Maximum time to validate a photograph.
     pub photograph: Duration,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
@@ -223,9 +221,9 @@ impl Default for Limits {
             takeover: Duration::from_secs(10),
             max_decoding_bytes: 1 << 30,
             validators: 32,
-            assessing_bytes: 4 << 30,
+            assessing_bytes: READER_MEMORY,
             assessing: Duration::from_secs(20 * 60),
-            photograph: Duration::from_secs(120),
+            photograph: PHOTOGRAPH_TIME,
             max_log_bytes: 32 << 20,
             connections: 1024,
             header: Duration::from_secs(30),

@@ -273,7 +273,7 @@ mod tests {
     #[test]
     fn a_prepared_capture_is_not_shared_and_a_result_is() {
         let run = RunFolder::new("output");
-        let prepared = run.work().prepared().join("view-00000.half");
+        let prepared = run.work().prepared().join("a.half");
         assert!(!is_kept(prepared.to_str().expect("UTF-8")));
         for path in [run.scene(), run.work().checkpoint(), run.work().found_poses()] {
             assert!(is_kept(path.to_str().expect("UTF-8")), "{path:?}");

@@ -1,11 +1,15 @@
 //! Validation of an upload with the pipeline's own capture reader.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::{self, CaptureError, CaptureWarning, Inspection, Placement, Watch};
+use fled_core::capture::{
+    self, ASSESSED_SIDE, Assessment, Capture, CaptureError, CaptureWarning, Placement, Watch,
+};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use utoipa::openapi::{Array, Ref};
 
 use crate::redaction::without_paths;
 
@@ -18,55 +22,25 @@ pub struct CaptureReport {
     /// Number of usable photographs.
     pub accepted: u32,
     /// One assessment per file.
+    #[schema(schema_with = assessments)]
     pub images: Vec<Assessment>,
     /// Warnings about the whole capture.
-    pub warnings: Vec<Warning>,
+    #[schema(schema_with = warnings)]
+    pub warnings: Vec<CaptureWarning>,
 }
 
-/// The assessment of one photograph.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Assessment {
-    /// Path as sent, below the folder of the photographs; numbered if sent more than once.
-    pub name: String,
-    /// The name of its view in the results of jobs; of a photograph that is used, once stored.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub view: Option<String>,
-    /// Whether the photograph is used.
-    pub accepted: bool,
-    /// Why it is not used.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
-    /// Upright width, px; 0 if unreadable.
-    pub width: usize,
-    /// Upright height, px; 0 if unreadable.
-    pub height: usize,
-    /// Focal length from EXIF, px.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub focal_px: Option<f64>,
-    /// The colour profile that is applied, or the camera of a raw file; none for sRGB.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub colours: Option<String>,
-    /// Mean of the brightest channel, 0 to 1; of a photograph that is used.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub brightness: Option<f32>,
-    /// Sharpness relative to the capture's median; of a photograph that is used.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sharpness: Option<f32>,
-    /// Warnings: dark, blurred, a duplicate and so on.
-    pub warnings: Vec<Warning>,
+/// The schema of assessments, which the document has from the core.
+fn assessments() -> Array {
+    Array::new(Ref::from_schema_name("Assessment"))
 }
 
-/// A warning; the work continues.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Warning {
-    /// Stable code.
-    pub code: String,
-    /// One sentence.
-    pub message: String,
+/// The schema of warnings, which the document has from the core.
+pub fn warnings() -> Array {
+    Array::new(Ref::from_schema_name("Warning"))
 }
 
 /// Why an upload is no usable capture.
-#[derive(Debug, Serialize, Deserialize)]
+#[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Refusal {
     /// What is wrong.
     pub detail: String,
@@ -76,59 +50,48 @@ pub struct Refusal {
     pub unsupported_format: bool,
     /// Whether the machine is at fault, not the upload.
     pub is_ours: bool,
+    /// Whether the disk is full.
+    pub is_full: bool,
     /// The assessments so far.
     pub report: CaptureReport,
 }
 
-/// Validates the content of `dir`: a single archive, or the files of a capture folder. A zip stays
-/// packed, because only inside it do its files have their names. It decodes untrusted files, so
-/// call it only in a process that may die.
+/// Validates the content of `dir`, a single archive or the files of a capture folder, by preparing
+/// it as a job does, with small images that are removed again. A zip stays packed, because only
+/// inside it do its files have their names. It decodes untrusted files, so call it only in a process
+/// that may die.
 ///
 /// # Errors
 /// [`Refusal`] if it is no usable capture.
 pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refusal>> {
-    let archive = dir.join(ARCHIVE);
-    let opened = if archive.is_file() {
-        if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
-            return Err(mixed());
-        }
-        let scratch = dir.join(".examined");
-        let opened = Inspection::of(&archive, &scratch, watch);
-        match fs::remove_dir_all(&scratch) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                let path = scratch;
-                return Err(refuse(dir, CaptureError::Io { path, source }));
-            }
-            _ => opened,
-        }
-    } else {
-        Inspection::of(dir, dir, watch)
-    };
-    let inspection = opened.map_err(|error| refuse(dir, error))?;
-    if let Some(Placement::Unusable { file, reason }) =
-        inspection.poses.as_ref().map(|poses| &poses.placement)
-    {
-        return Err(bad_poses(&inspection, &format!("{file}: {reason}")));
+    let source = source(dir.to_owned());
+    if source != dir && dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
+        return Err(mixed());
     }
-    Ok(CaptureReport {
-        accepted: u32::try_from(inspection.accepted).unwrap_or(u32::MAX),
-        images: inspection.assessments.into_iter().map(assessment).collect(),
-        warnings: inspection.warnings.into_iter().map(warning).collect(),
-    })
+    let scratch = dir.join(".examined");
+    let opened = Capture::prepare(&source, &scratch, ASSESSED_SIDE, watch);
+    match fs::remove_dir_all(&scratch) {
+        Err(source) if source.kind() != ErrorKind::NotFound => {
+            return Err(refuse(dir, CaptureError::Io { path: scratch, source }));
+        }
+        _ => {}
+    }
+    let capture = opened.map_err(|error| refuse(dir, error))?;
+    let report = report(capture.views.len(), capture.assessments);
+    match capture.poses.map(|poses| poses.placement) {
+        Some(Placement::Unusable { file, reason }) => Err(Box::new(Refusal {
+            detail: without_paths(&format!("The poses cannot be read: {file}: {reason}")),
+            hint: "Fix the file, or leave it out: then fled finds the poses.".to_owned(),
+            report,
+            ..Refusal::default()
+        })),
+        _ => Ok(CaptureReport { warnings: capture.warnings, ..report }),
+    }
 }
 
-fn bad_poses(inspection: &Inspection, fault: &str) -> Box<Refusal> {
-    Box::new(Refusal {
-        detail: without_paths(&format!("The poses cannot be read: {fault}")),
-        hint: "Fix the file, or leave it out: then fled finds the poses.".to_owned(),
-        unsupported_format: false,
-        is_ours: false,
-        report: CaptureReport {
-            accepted: u32::try_from(inspection.accepted).unwrap_or(u32::MAX),
-            images: inspection.assessments.iter().cloned().map(assessment).collect(),
-            warnings: Vec::new(),
-        },
-    })
+fn report(accepted: usize, images: Vec<Assessment>) -> CaptureReport {
+    let accepted = u32::try_from(accepted).unwrap_or(u32::MAX);
+    CaptureReport { accepted, images, warnings: Vec::new() }
 }
 
 /// Bytes that validating `dir` needs temporarily: those of an unpacked zip.
@@ -153,9 +116,7 @@ fn mixed() -> Box<Refusal> {
     Box::new(Refusal {
         detail: "The upload has a ZIP file and other files.".to_owned(),
         hint: "Send either one ZIP file or photographs.".to_owned(),
-        unsupported_format: false,
-        is_ours: false,
-        report: CaptureReport::default(),
+        ..Refusal::default()
     })
 }
 
@@ -166,41 +127,19 @@ fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
         .to_string()
         .replace(&archive, "the upload")
         .replace(&dir.display().to_string(), "the upload");
-    let hint = error.hint().to_owned();
-    let is_ours = error.is_of_the_machine();
-    let (accepted, assessments) = match error {
-        CaptureError::TooFew { accepted, assessments } => (accepted, assessments),
-        _ => (0, Vec::new()),
-    };
-    Box::new(Refusal {
+    let refusal = Refusal {
         detail,
-        hint,
-        unsupported_format: assessments.iter().any(|assessment| assessment.unsupported_format),
-        is_ours,
-        report: CaptureReport {
-            accepted: u32::try_from(accepted).unwrap_or(u32::MAX),
-            images: assessments.into_iter().map(assessment).collect(),
-            warnings: Vec::new(),
+        hint: error.hint().to_owned(),
+        is_ours: error.is_of_the_machine(),
+        is_full: error.is_full(),
+        ..Refusal::default()
+    };
+    Box::new(match error {
+        CaptureError::TooFew { accepted, assessments } => Refusal {
+            unsupported_format: assessments.iter().any(|one| one.unsupported_format),
+            report: report(accepted, assessments),
+            ..refusal
         },
+        _ => refusal,
     })
-}
-
-fn assessment(of: capture::Assessment) -> Assessment {
-    Assessment {
-        name: of.name,
-        view: None,
-        accepted: of.accepted,
-        reason: of.reason,
-        width: of.width,
-        height: of.height,
-        focal_px: of.focal_px,
-        colours: of.colours,
-        brightness: of.brightness,
-        sharpness: of.sharpness,
-        warnings: of.warnings.into_iter().map(warning).collect(),
-    }
-}
-
-fn warning(of: CaptureWarning) -> Warning {
-    Warning { code: of.code, message: of.message }
 }

@@ -58,7 +58,7 @@ fn a_folder_with_other_files_and_a_damaged_capture_are_refused() {
     assert!(said.contains("diary.txt is not part of a prepared capture"), "{said}");
     fs::remove_file(out.join("diary.txt")).expect("still there");
     assert!(prepare().status.success());
-    fs::remove_file(out.join("view-00003.half")).expect("an image");
+    fs::remove_file(out.join("003.half")).expect("an image");
     let run = small_run(&out, &folder.path().join("run"), 1).output().expect("started");
     assert_eq!(run.status.code(), Some(3));
     let said = String::from_utf8_lossy(&run.stderr).into_owned();

@@ -13,8 +13,7 @@ use super::look::{Assessor, Fault, Seen};
 use super::masked;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::pose_files;
-use super::preparation::Preparation;
-use super::prepared::PreparedImage;
+use super::preparation::{Kind, Preparation};
 use super::twins;
 use super::watch::Watch;
 
@@ -36,14 +35,14 @@ pub(super) struct Assessed {
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
-/// Assesses every photograph, then the capture; prepares the images if requested.
+/// Assesses every photograph, then the capture, and prepares the images.
 ///
 /// # Errors
 /// A failure to write a prepared image.
 pub(super) fn assess(
     layout: &Layout,
     watch: &Watch<'_>,
-    preparation: Option<&Preparation>,
+    preparation: &Preparation,
 ) -> io::Result<Assessed> {
     let truths = layout.ground_truth.values();
     let others = truths.chain(layout.masks.entries());
@@ -78,9 +77,18 @@ pub(super) fn assess(
         match seen {
             Ok(seen) => {
                 let name = names.own(entry.name().stem());
-                assessed.accept(entry, &seen, name, typical);
-                let view = assessed.views.last_mut().expect("one was accepted");
-                view.mask.clone_from(&masked.mask);
+                let named = |image: &Option<_>, kind| assessor.named(image.clone(), kind, &name);
+                let prepared = named(&seen.prepared, Kind::View).unwrap_or_default();
+                let mask = named(&masked.mask, Kind::Mask);
+                assessed.accept(
+                    entry,
+                    &seen,
+                    typical,
+                    CaptureView {
+                        mask,
+                        ..CaptureView::upright(name, entry.path.clone(), prepared)
+                    },
+                );
             }
             Err(fault) => {
                 masked.discard();
@@ -140,10 +148,11 @@ fn median(mut values: Vec<f32>) -> f32 {
 }
 
 impl Assessed {
-    fn accept(&mut self, entry: &Entry, seen: &Seen, name: String, typical_sharpness: f32) {
+    fn accept(&mut self, entry: &Entry, seen: &Seen, typical_sharpness: f32, view: CaptureView) {
         let Header { width, height, orientation, focal_px, shot, .. } = seen.header;
         self.assessments.push(Assessment {
             name: entry.name().to_string(),
+            view: Some(view.name.clone()),
             accepted: true,
             reason: None,
             unsupported_format: false,
@@ -156,17 +165,13 @@ impl Assessed {
             warnings: seen.warnings(typical_sharpness),
         });
         self.views.push(CaptureView {
-            name,
-            path: entry.path.clone(),
             file: entry.file.clone(),
             width,
             height,
             focal_px,
             orientation: orientation.to_exif(),
             shot,
-            prepared: seen.prepared.clone().unwrap_or_else(PreparedImage::none),
-            gt: None,
-            mask: None,
+            ..view
         });
     }
 

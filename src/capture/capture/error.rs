@@ -96,6 +96,13 @@ impl CaptureError {
         matches!(self, Self::Io { source, .. } if source.kind() != std::io::ErrorKind::NotFound)
     }
 
+    /// Whether the disk is full.
+    pub fn is_full(&self) -> bool {
+        use std::io::ErrorKind::{QuotaExceeded, StorageFull};
+        matches!(self, Self::Io { source, .. }
+            if matches!(source.kind(), StorageFull | QuotaExceeded))
+    }
+
     /// A remedy for the user.
     pub fn hint(&self) -> &'static str {
         match self {

@@ -18,7 +18,7 @@ use super::watch::{Look, Watch};
 use super::white_balances::WhiteBalances;
 
 /// Long side at which photographs are assessed, px: decoding dominates, so this is enough.
-const ASSESSED_SIDE: usize = 320;
+pub const ASSESSED_SIDE: usize = 320;
 
 /// Photographs decoded at a time. Each takes its full size in 8 or 16 bit; the budget limits the
 /// total.
@@ -43,7 +43,7 @@ pub(super) struct Seen {
     pub(super) mean_v: f32,
     /// Gradient energy relative to brightness: comparable within one capture only.
     pub(super) sharpness: f32,
-    /// The image that the pipeline reads, if the capture is prepared.
+    /// The image that the pipeline reads; none if it could not be written.
     pub(super) prepared: Option<PreparedImage>,
 }
 
@@ -61,17 +61,11 @@ impl Fault {
 
     pub(super) fn assessment(self, entry: &Entry) -> Assessment {
         Assessment {
-            name: entry.name().to_string(),
-            accepted: false,
-            reason: Some(self.reason),
             unsupported_format: self.unsupported_format,
             width: self.header.as_ref().map_or(0, |header| header.width),
             height: self.header.as_ref().map_or(0, |header| header.height),
             focal_px: self.header.and_then(|header| header.focal_px),
-            colours: None,
-            brightness: None,
-            sharpness: None,
-            warnings: Vec::new(),
+            ..Assessment::refused(entry.name().to_string(), self.reason)
         }
     }
 }
@@ -94,7 +88,7 @@ impl From<ImageError> for Fault {
 pub(super) struct Assessor<'a> {
     budget: DecodeBudget,
     tell: &'a (dyn Fn(Look<'_>) + Sync),
-    preparation: Option<&'a Preparation>,
+    preparation: &'a Preparation,
     white_balances: WhiteBalances,
     /// The first failure to write a prepared image.
     failure: Mutex<Option<io::Error>>,
@@ -104,7 +98,7 @@ impl<'a> Assessor<'a> {
     /// Requests the memory for the largest photographs of `all`.
     pub(super) fn open<'b>(
         watch: &Watch<'a>,
-        preparation: Option<&'a Preparation>,
+        preparation: &'a Preparation,
         all: impl Iterator<Item = &'b Entry>,
     ) -> Self {
         let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file)).ok();
@@ -149,26 +143,20 @@ impl<'a> Assessor<'a> {
         watched(self.tell, entry, work)
     }
 
-    /// The small picture, once there is memory to decode it, and the prepared one.
+    /// The small picture, once there is memory to decode it, and the prepared one of this name.
     fn small(
         &self,
         entry: &Entry,
         header: &Header,
-        (kind, index): (Kind, usize),
+        (kind, name): (Kind, &str),
     ) -> Result<(Image<Srgb>, Option<PreparedImage>), ImageError> {
         let _share = self.budget.take(header.decoded_bytes);
         let white_balance = header.raw.as_ref().and_then(|raw| self.white_balances.of_camera(raw));
-        let Some(preparation) = self.preparation else {
-            let small = watched(self.tell, entry, || {
-                Image::load_balanced(&entry.file, ASSESSED_SIDE, white_balance)
-            });
-            return Ok((small?.to_srgb(), None));
-        };
-        let decode = || Image::load_balanced(&entry.file, preparation.side, white_balance);
+        let decode = || Image::load_balanced(&entry.file, self.preparation.side, white_balance);
         let image = watched(self.tell, entry, decode)?;
         let (width, height) = image.size_at_most(ASSESSED_SIDE);
         let small = image.resize_area(width, height).to_srgb();
-        Ok((small, self.written(preparation.write(&image, kind, index))))
+        Ok((small, self.written(self.preparation.write(&image, kind, name))))
     }
 
     /// A prepared image; notes a failure to write it.
@@ -179,9 +167,19 @@ impl<'a> Assessor<'a> {
         written.ok()
     }
 
-    /// Longest side of prepared images, px, if the capture is prepared.
-    pub(super) fn prepared_side(&self) -> Option<usize> {
-        self.preparation.map(|preparation| preparation.side)
+    /// Longest side of prepared images, px.
+    pub(super) fn prepared_side(&self) -> usize {
+        self.preparation.side
+    }
+
+    /// The image of a photograph that became this view.
+    pub(super) fn named(
+        &self,
+        image: Option<PreparedImage>,
+        kind: Kind,
+        name: &str,
+    ) -> Option<PreparedImage> {
+        self.written(image?.rename(kind.file(name)))
     }
 
     /// Writes how much each pixel of photograph `index` counts.
@@ -190,10 +188,7 @@ impl<'a> Assessor<'a> {
         index: usize,
         shares: &Image<Linear>,
     ) -> Option<PreparedImage> {
-        match self.preparation {
-            Some(preparation) => self.written(preparation.write(shares, Kind::Mask, index)),
-            None => Some(PreparedImage::none()),
-        }
+        self.written(self.preparation.write(shares, Kind::Mask, &unnamed(index)))
     }
 
     fn look_at(&self, index: usize, entry: &Entry) -> Result<Seen, Fault> {
@@ -211,7 +206,7 @@ impl<'a> Assessor<'a> {
                 header.width, header.height
             ));
         }
-        let (small, prepared) = match self.small(entry, &header, (Kind::View, index)) {
+        let (small, prepared) = match self.small(entry, &header, (Kind::View, &unnamed(index))) {
             Ok(small) => small,
             Err(error) => {
                 return Err(Fault { header: Some(Box::new(header)), ..Fault::from(error) });
@@ -226,6 +221,7 @@ impl<'a> Assessor<'a> {
         let (low, high) =
             small.data().iter().fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
         if high - low < 1.5 / 255.0 {
+            prepared.iter().for_each(PreparedImage::remove);
             let colour = if high < 1.5 / 255.0 { "black" } else { "one colour" };
             return reject(format!("nothing is seen: the whole picture is {colour}"));
         }
@@ -242,19 +238,24 @@ impl<'a> Assessor<'a> {
         views: &[CaptureView],
         find: impl Fn(&CaptureView) -> Option<&'b Entry> + Sync,
     ) -> Vec<Option<Option<PreparedImage>>> {
-        let look = |(index, view)| find(view).map(|entry| self.truth(index, view, entry));
-        on_few_threads(|| views.par_iter().enumerate().map(look).collect())
+        let look = |view| find(view).map(|entry| self.truth(view, entry));
+        on_few_threads(|| views.par_iter().map(look).collect())
     }
 
-    fn truth(&self, index: usize, view: &CaptureView, entry: &Entry) -> Option<PreparedImage> {
+    fn truth(&self, view: &CaptureView, entry: &Entry) -> Option<PreparedImage> {
         let header = self.header(entry).ok()?;
         let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
         if (ratio - 1.0).abs() >= 0.01 {
             return None;
         }
-        let (_, prepared) = self.small(entry, &header, (Kind::GroundTruth, index)).ok()?;
-        Some(prepared.unwrap_or_else(PreparedImage::none))
+        self.small(entry, &header, (Kind::GroundTruth, &view.name)).ok()?.1
     }
+}
+
+/// What the images of a photograph are called before it is known to be a view: no view's name
+/// begins with a dot.
+fn unnamed(index: usize) -> String {
+    format!(".{index:05}")
 }
 
 /// Runs the work on a photograph and reports its beginning and end.

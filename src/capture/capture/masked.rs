@@ -3,16 +3,13 @@
 use rayon::prelude::*;
 
 use super::entries::Entry;
-use super::look::{Assessor, Fault, Seen, on_few_threads};
+use super::look::{ASSESSED_SIDE, Assessor, Fault, Seen, on_few_threads};
 use super::masks::Masks;
 use super::photograph::{CaptureView, CaptureWarning};
 use super::prepared::PreparedImage;
 use crate::image::shares::{self, Shares};
 use crate::image::{Header, Image, ImageError, Linear, at_most};
 use crate::mask::Mask;
-
-/// Long side at which masks are assessed, px: the same as for photographs.
-const ASSESSED_SIDE: usize = 320;
 
 /// Below this share of the pixels nothing useful is left.
 const LEAST_LEFT: f64 = 0.001;
@@ -75,15 +72,14 @@ struct Counted {
     count: usize,
     /// At a small size, to measure.
     left: Mask,
-    /// The least share of each pixel of the prepared image; empty if none is prepared.
+    /// The least share of each pixel of the prepared image.
     least: Image<Linear>,
 }
 
 impl Counted {
-    fn of(header: &Header, side: Option<usize>) -> Self {
+    fn of(header: &Header, side: usize) -> Self {
         let (width, height) = at_most(header.width, header.height, ASSESSED_SIDE);
-        let least = side.map(|side| at_most(header.width, header.height, side));
-        let (wide, high) = least.unwrap_or_default();
+        let (wide, high) = at_most(header.width, header.height, side);
         let least = Image::<Linear>::new(wide, high).map(|_| 1.0);
         Self { count: 0, left: Mask::full(width, height), least }
     }
@@ -92,9 +88,6 @@ impl Counted {
         self.count += 1;
         let [width, height] = self.left.size();
         self.left = self.left.and(&Mask::of_shares(&shares.at(width, height)));
-        if self.least.data().is_empty() {
-            return;
-        }
         let other = shares.at(self.least.width(), self.least.height());
         let pairs = self.least.data_mut().iter_mut().zip(other.data());
         pairs.for_each(|(least, share)| *least = least.min(*share));

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::image::Shot;
@@ -37,52 +38,94 @@ pub struct CaptureView {
     pub mask: Option<PreparedImage>,
 }
 
-/// The outcome for one file.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+impl CaptureView {
+    /// A photograph stored upright and without EXIF, of the size of its prepared image.
+    pub fn upright(name: String, path: PhotoPath, prepared: PreparedImage) -> Self {
+        Self {
+            name,
+            path,
+            file: PathBuf::new(),
+            width: prepared.width,
+            height: prepared.height,
+            prepared,
+            orientation: 1,
+            focal_px: None,
+            shot: None,
+            gt: None,
+            mask: None,
+        }
+    }
+}
+
+/// The assessment of one photograph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Assessment {
-    /// The path as uploaded, below the folder of the photographs; numbered if others have the same.
+    /// Path as sent, below the folder of the photographs; numbered if sent more than once.
     pub name: String,
-    /// Whether it is used.
+    /// The name of its view in the results of jobs; of a photograph that is used.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<String>,
+    /// Whether the photograph is used.
     pub accepted: bool,
-    /// The reason if it is not.
+    /// Why it is not used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Whether its format is known but unsupported (HEIC, raw): HTTP 415 rather than 422.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    /// Whether its format is known but unsupported: HTTP 415 rather than 422. Not kept.
+    #[serde(skip)]
     pub unsupported_format: bool,
-    /// Width of the upright photograph, px; 0 if it is unreadable.
+    /// Upright width, px; 0 if unreadable.
     pub width: usize,
-    /// Height of the upright photograph, px; 0 if it is unreadable.
+    /// Upright height, px; 0 if unreadable.
     pub height: usize,
-    /// Focal length in px, from EXIF.
+    /// Focal length from EXIF, px.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
-    /// The colour profile that is applied, or the camera of a raw file; none where the values are
-    /// sRGB's.
+    /// The colour profile that is applied, or the camera of a raw file; none for sRGB.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub colours: Option<String>,
-    /// Mean of the brightest channel, as a share of white; only if the photograph is used.
+    /// Mean of the brightest channel, 0 to 1; of a photograph that is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub brightness: Option<f32>,
-    /// Sharpness relative to the capture's median; only if the photograph is used. Comparable
-    /// within one capture only.
+    /// Sharpness relative to the capture's median; of a photograph that is used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sharpness: Option<f32>,
-    /// What the user should know about it.
+    /// Warnings: dark, blurred, a duplicate and so on.
     pub warnings: Vec<CaptureWarning>,
 }
 
-/// Information that does not stop the work.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+impl Assessment {
+    /// The assessment of a file that is not used.
+    pub fn refused(name: String, reason: String) -> Self {
+        Self {
+            name,
+            view: None,
+            accepted: false,
+            reason: Some(reason),
+            unsupported_format: false,
+            width: 0,
+            height: 0,
+            focal_px: None,
+            colours: None,
+            brightness: None,
+            sharpness: None,
+            warnings: Vec::new(),
+        }
+    }
+}
+
+/// A warning; the work continues.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "Warning")]
 pub struct CaptureWarning {
-    /// Stable snake_case code: `dark`, `blurred`, `hdr`, `mixed_sizes`, `few` and others.
+    /// Stable code.
     pub code: String,
-    /// One sentence, with figures.
+    /// One sentence.
     pub message: String,
 }
 
 impl CaptureWarning {
-    pub(crate) fn new(code: &str, message: impl Into<String>) -> Self {
+    /// A warning with figures in its message.
+    pub fn new(code: &str, message: impl Into<String>) -> Self {
         Self { code: code.to_owned(), message: message.into() }
     }
 }

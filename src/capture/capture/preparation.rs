@@ -13,12 +13,13 @@ use super::{Capture, Placement};
 use crate::image::{Image, Linear, write_atomic};
 
 /// Raised when prepared images of equal photographs, or the manifest, change.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// The file that makes a folder a prepared capture.
 const MANIFEST: &str = "manifest.json";
 
-/// The end of the names of images.
+/// The end of the names of images: that of a view's photograph; its ground truth and mask have a
+/// word before it.
 const IMAGE: &str = ".half";
 
 /// Where a zip is unpacked while it is read.
@@ -45,6 +46,17 @@ pub(super) enum Kind {
     Mask,
 }
 
+impl Kind {
+    /// The name of a view's image. Names of views contain no dot.
+    pub(super) fn file(self, name: &str) -> String {
+        match self {
+            Self::View => format!("{name}{IMAGE}"),
+            Self::GroundTruth => format!("{name}.truth{IMAGE}"),
+            Self::Mask => format!("{name}.mask{IMAGE}"),
+        }
+    }
+}
+
 /// The contents of the manifest.
 #[derive(Serialize, Deserialize)]
 struct Manifest<C> {
@@ -67,18 +79,17 @@ impl Preparation {
         Self { folder: folder.to_owned(), side }
     }
 
-    /// Writes an image of photograph `index`.
+    /// Writes an image of a view, or of a photograph that is not known to be one.
     pub(super) fn write(
         &self,
         image: &Image<Linear>,
         kind: Kind,
-        index: usize,
+        name: &str,
     ) -> io::Result<PreparedImage> {
-        let path = |kind: &str| self.folder.join(format!("{kind}-{index:05}{IMAGE}"));
+        let path = self.folder.join(kind.file(name));
         match kind {
-            Kind::View => PreparedImage::write(image, &path("view")),
-            Kind::GroundTruth => PreparedImage::write(image, &path("truth")),
-            Kind::Mask => PreparedImage::write_grey(image, &path("mask")),
+            Kind::View | Kind::GroundTruth => PreparedImage::write(image, &path),
+            Kind::Mask => PreparedImage::write_grey(image, &path),
         }
     }
 

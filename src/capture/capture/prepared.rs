@@ -27,7 +27,7 @@ const MAX_SIDE: usize = 65_535;
 const HEADER: usize = 8;
 
 /// A photograph, upright, in linear light of sRGB primaries; 1 is the file's white.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PreparedImage {
     /// Where the file is: the folder of the manifest, which may be moved.
     #[serde(skip)]
@@ -134,11 +134,6 @@ impl PreparedImage {
         Ok(Mask::of_shares(&undistort(&shares)))
     }
 
-    /// Stands for an image that was not kept.
-    pub fn none() -> Self {
-        Self { folder: PathBuf::new(), file: String::new(), width: 0, height: 0, planes: 3 }
-    }
-
     /// Finds the image in this folder.
     pub(super) fn place_in(&mut self, folder: &Path) {
         self.folder = folder.to_owned();
@@ -158,6 +153,15 @@ impl PreparedImage {
     /// Length of the file.
     fn bytes(&self) -> u64 {
         (HEADER + 2 * self.planes * self.width * self.height) as u64
+    }
+
+    /// Gives the file another name in its folder.
+    ///
+    /// # Errors
+    /// Whatever the file system says.
+    pub(super) fn rename(self, file: String) -> io::Result<Self> {
+        fs::rename(self.path(), self.folder.join(&file))?;
+        Ok(Self { file, ..self })
     }
 
     pub(super) fn remove(&self) {

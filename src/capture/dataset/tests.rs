@@ -34,19 +34,8 @@ fn poses_and_warnings(
 fn photograph(name: String, path: &str, file: PathBuf) -> CaptureView {
     let image: Image<Srgb> = Image::new(40, 30);
     image.save(&file).unwrap();
-    CaptureView {
-        name,
-        path: PhotoPath::new(path),
-        prepared: PreparedImage::write(&image.to_linear(), &file.with_extension("half")).unwrap(),
-        file,
-        width: 40,
-        height: 30,
-        focal_px: None,
-        orientation: 1,
-        shot: None,
-        gt: None,
-        mask: None,
-    }
+    let prepared = PreparedImage::write(&image.to_linear(), &file.with_extension("half")).unwrap();
+    CaptureView { file, ..CaptureView::upright(name, PhotoPath::new(path), prepared) }
 }
 
 struct Capture {

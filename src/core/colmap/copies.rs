@@ -11,6 +11,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::exposure::brightened;
+use super::files::empty;
 use crate::cancel::CancelToken;
 use crate::capture::on_few_threads;
 use crate::mask::Mask;
@@ -68,11 +69,9 @@ impl Copies {
         kind: Kind,
         cancel: &CancelToken,
     ) -> Result<Self, PosesError> {
-        let copies = views
-            .iter()
-            .enumerate()
-            .map(|(index, view)| Copy::planned(index, view, kind))
-            .collect::<Vec<_>>();
+        // COLMAP reads everything in a folder: no copy of an earlier search may be left.
+        empty(dir)?;
+        let copies: Vec<Copy> = views.iter().map(|view| Copy::planned(view, kind)).collect();
         let share = |(copy, view): (&Copy, &PoseView)| {
             let longest = copy.original.0.max(copy.original.1) as f64;
             view.focal_px.map(|focal| focal / longest)
@@ -119,6 +118,7 @@ impl Copies {
         let Some(dir) = self.mask_dir() else {
             return Ok(());
         };
+        empty(&dir)?;
         self.copies.par_iter().zip(&*self.masks).try_for_each(|(copy, mask)| {
             let path = dir.join(format!("{}.png", copy.file));
             let parent = path.parent().unwrap_or(&dir);
@@ -174,7 +174,7 @@ fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
 }
 
 impl Copy {
-    fn planned(index: usize, view: &PoseView, kind: Kind) -> Self {
+    fn planned(view: &PoseView, kind: Kind) -> Self {
         let original = view.original;
         let longest = original.0.max(original.1);
         let size = if kind != Kind::Full && longest > LARGEST_SMALL_SIDE {
@@ -184,8 +184,8 @@ impl Copy {
         } else {
             (view.prepared.width, view.prepared.height)
         };
-        // Our own name: no user text reaches a command line or a list file.
-        Self { file: format!("v{index:05}.png"), original, size }
+        // The name of a view is safe in a list file: no text of the user gets there.
+        Self { file: format!("{}.png", view.name), original, size }
     }
 
     /// Writes the copy; returns its mask.

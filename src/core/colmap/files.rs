@@ -18,6 +18,15 @@ pub(super) fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesE
     Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
 }
 
+/// Makes a folder, or removes what an earlier search left in it.
+pub(super) fn empty(folder: &Path) -> Result<(), PosesError> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ => std::fs::create_dir_all(folder),
+    }
+    .map_err(PosesError::io(folder))
+}
+
 /// Removes a database and the files beside it.
 pub(super) fn remove_if_there(file: &Path) -> Result<(), PosesError> {
     for suffix in ["", "-wal", "-shm", "-journal"] {

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use super::candidate::{Candidate, Evidence};
 use super::consistency::Consistency;
-use super::copies::{Copies, Kind};
-use super::files::{largest_model, remove_if_there};
+use super::copies::{Copies, Copy, Kind};
+use super::files::{empty, largest_model, remove_if_there};
 use super::groups;
 use super::options::{self, Prober, Setting, masks, set};
 use super::process::Runner;
@@ -13,16 +13,18 @@ use super::strategies::{
     Acceptance, FIRST_LEARNED, LEARNED, Mapping, STRATEGIES, Strategy, advance, begin,
 };
 use crate::cancel::CancelToken;
+use crate::capture::MIN_VIEWS;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
 use crate::poses::model::SparseModel;
-use crate::poses::{PoseRequest, Poses, PosesError, in_words};
-
-/// Two views determine a depth but cannot check it.
-pub(super) const MIN_VIEWS: usize = 3;
+use crate::poses::{PoseRequest, PoseView, Poses, PosesError, in_words};
 
 /// Above this number matching all pairs takes too long: match neighbours in the capture's order.
-const MOST_EXHAUSTIVE: usize = 150;
+const MAX_EXHAUSTIVE: usize = 150;
+
+/// How far apart neighbours are: the defaults of COLMAP's own sequential matcher, which orders
+/// photographs by the names of their files, so that `a10` comes before `a9`.
+const NEIGHBOURS: [usize; 16] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 16, 32, 64, 128, 256, 512];
 
 /// A search for a good model.
 pub(super) struct Search<'a> {
@@ -174,7 +176,7 @@ impl<'a> Search<'a> {
         if strategy.database == strategy.letter {
             self.extract(strategy, &copies, &database, cancel)?;
             advance(sink, strategy.letter, 1);
-            self.match_pairs(strategy, &database, cancel)?;
+            self.match_pairs(strategy, &copies, &database, cancel)?;
         }
         advance(sink, strategy.letter, 2);
         let mapping = Mapping { letter: strategy.letter, loose: strategy.loose_mapper };
@@ -277,15 +279,17 @@ impl<'a> Search<'a> {
     /// Matches for strategy A.
     pub(super) fn match_features(
         &self,
+        copies: &Copies,
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
-        self.match_pairs(&STRATEGIES[0], database, cancel)
+        self.match_pairs(&STRATEGIES[0], copies, database, cancel)
     }
 
     fn match_pairs(
         &self,
         strategy: &Strategy,
+        copies: &Copies,
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
@@ -298,9 +302,13 @@ impl<'a> Search<'a> {
         if strategy.robust_features {
             settings.push(set(&["SiftMatching.max_ratio"], &0.85));
         }
-        let exhaustive = self.request.views.len() <= MOST_EXHAUSTIVE;
-        let command = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
-        self.succeed(command, &settings, cancel)
+        if copies.copies.len() <= MAX_EXHAUSTIVE {
+            return self.succeed("exhaustive_matcher", &settings, cancel);
+        }
+        let list = database.with_extension("pairs");
+        std::fs::write(&list, neighbours(&copies.copies)).map_err(PosesError::io(&list))?;
+        settings.push(set(&["match_list_path"], &list.display()));
+        self.succeed("matches_importer", &settings, cancel)
     }
 
     /// The largest model of the mapper; `None` if it found no initial pair.
@@ -312,10 +320,7 @@ impl<'a> Search<'a> {
         cancel: &CancelToken,
     ) -> Result<Option<SparseModel>, PosesError> {
         let output = self.request.work_dir.join(format!("sparse-{}", mapping.letter));
-        if output.exists() {
-            std::fs::remove_dir_all(&output).map_err(PosesError::io(&output))?;
-        }
-        std::fs::create_dir_all(&output).map_err(PosesError::io(&output))?;
+        empty(&output)?;
         let mut settings = vec![
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),
@@ -388,7 +393,7 @@ impl<'a> Search<'a> {
             source: String::new(),
             strategy: Some(best.strategy),
             verdicts,
-            parts: self.parts(evidence),
+            parts: self.parts(evidence, |view| view.name.clone()),
             mean_reprojection_error: best.model.mean_error(),
             mean_track: best.model.mean_track(),
             low_confidence: !best.accepted,
@@ -398,21 +403,22 @@ impl<'a> Search<'a> {
         })
     }
 
-    /// The names of the connected photographs, if matches do not connect all.
-    fn parts(&self, evidence: &Evidence<'_>) -> Vec<Vec<String>> {
+    /// The connected photographs, if matches do not connect all: the names of their views or what
+    /// else `of` says.
+    fn parts(&self, evidence: &Evidence<'_>, of: impl Fn(&PoseView) -> String) -> Vec<Vec<String>> {
         let connected = evidence.found.as_ref().map(groups::connected);
         let mut parts = connected.unwrap_or_default();
         parts.retain(|part| part.len() >= MIN_VIEWS);
         if parts.len() < 2 {
             return Vec::new();
         }
-        let name = |&index: &usize| self.request.views[index].name.clone();
-        let names = |part: &Vec<usize>| part.iter().map(name).collect();
-        parts.iter().map(names).collect()
+        let of = |&index: &usize| of(&self.request.views[index]);
+        parts.iter().map(|part| part.iter().map(of).collect()).collect()
     }
 
     fn too_few(&self, registered: usize, evidence: &Evidence<'_>) -> PosesError {
-        let (parts, total) = (self.parts(evidence), self.request.views.len());
+        let parts = self.parts(evidence, |view| view.path.to_string());
+        let total = self.request.views.len();
         let found = evidence.found.as_ref();
         let overlap = found.and_then(|found| groups::overlap(found, self.request.views));
         let advice = if !parts.is_empty() {
@@ -433,6 +439,15 @@ impl<'a> Search<'a> {
         };
         PosesError::TooFew { registered, total, advice }
     }
+}
+
+/// COLMAP's list of pairs, by the names of their files.
+fn neighbours(copies: &[Copy]) -> String {
+    let pair = |(at, first): (usize, &Copy), apart: usize| {
+        copies.get(at + apart).map(|second| format!("{} {}\n", first.file, second.file))
+    };
+    let all = copies.iter().enumerate();
+    all.flat_map(|one| NEIGHBOURS.iter().filter_map(move |apart| pair(one, *apart))).collect()
 }
 
 fn warn_of_zooms(copies: &Copies, sink: &mut dyn ProgressSink) {

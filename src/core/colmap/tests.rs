@@ -36,7 +36,7 @@ model() {
   mkdir -p "$1"
   echo '1 SIMPLE_RADIAL 48 32 50 24 16 0.01' > "$1/cameras.txt"; : > "$1/images.txt"; : > "$1/points3D.txt"
   i=0; while [ $i -lt $2 ]; do
-    printf '%d 1 0 0 0 %d 0 0 1 v%05d.png\n\n' $((i+1)) $i $i >> "$1/images.txt"; i=$((i+1)); done
+    printf '%d 1 0 0 0 %d 0 0 1 view%d.png\n\n' $((i+1)) $i $i >> "$1/images.txt"; i=$((i+1)); done
   p=0; while [ $p -lt 100 ]; do
     track=; j=0; while [ $j -lt $3 ]; do track="$track $((j+1)) $p"; j=$((j+1)); done
     echo "$p 0 0 $((p+1)) 9 9 9 0.5$track" >> "$1/points3D.txt"; p=$((p+1)); done
@@ -59,7 +59,7 @@ impl Scene {
         let prepared = prepared.unwrap();
         let view = |i| PoseView {
             name: format!("view{i}"),
-            path: PhotoPath::default(),
+            path: PhotoPath::new(&format!("photographs/{i}.jpg")),
             prepared: prepared.clone(),
             original: (48, 32),
             focal_px: None,
@@ -154,7 +154,7 @@ fn known_poses_are_triangulated_at_the_copies_size() {
         scene.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).unwrap();
     assert_eq!((points.len(), points[0].track), (100, 10));
     let known = crate::poses::model::SparseModel::read(&scene.work_dir().join("known")).unwrap();
-    assert_eq!((known.images.len(), known.images[3].name.as_str()), (9, "v00003.png"));
+    assert_eq!((known.images.len(), known.images[3].name.as_str()), (9, "view3.png"));
     assert_eq!(known.images[3].world_to_camera(), posed[3].camera.world_to_camera);
     assert_eq!(known.cameras[3].params, [50.0, 51.0, 24.0, 16.0]);
     let failing = Scene::new(10, "exit 1");
@@ -297,10 +297,36 @@ fn colmap_gets_the_masks_of_the_photographs() {
     let folder = scene.work_dir().join("small.masks");
     assert!(scene.log().contains(&format!("--ImageReader.mask_path {}", folder.display())));
     let mask = |copy: &str| Image::load(&folder.join(copy)).unwrap();
-    let own = mask("v00003.png.png");
+    let own = mask("view3.png.png");
     assert_eq!((own.width(), own.height()), (48, 32));
     assert_eq!((own.get(23, 9)[0], own.get(24, 9)[0]), (0.0, 1.0));
-    assert!(mask("v00004.png.png").data().iter().all(|v| *v == 1.0), "nothing of it is masked");
+    assert!(mask("view4.png.png").data().iter().all(|v| *v == 1.0), "nothing of it is masked");
+}
+
+#[test]
+fn copies_of_an_earlier_search_are_removed() {
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    let small = scene.work_dir().join("small");
+    std::fs::create_dir_all(&small).unwrap();
+    std::fs::write(small.join("v00003.png"), "of another build").unwrap();
+    scene.poses().unwrap();
+    let files = std::fs::read_dir(&small).unwrap().map(|file| file.unwrap().path());
+    let mut files: Vec<_> = files.collect();
+    files.sort();
+    assert_eq!(files, (0..10).map(|i| small.join(format!("view{i}.png"))).collect::<Vec<_>>());
+}
+
+#[test]
+fn neighbours_of_a_large_capture_follow_its_order_and_not_the_names_of_files() {
+    let scene = Scene::new(151, r#"[ $command = mapper ] && model "$out/0" 151 10; exit 0"#);
+    assert_eq!(scene.poses().unwrap().registered, 151);
+    let pairs = std::fs::read_to_string(scene.work_dir().join("A.pairs")).unwrap();
+    let pairs: std::collections::BTreeSet<&str> = pairs.lines().collect();
+    for pair in ["view9.png view10.png", "view90.png view100.png", "view22.png view150.png"] {
+        assert!(pairs.contains(pair), "{pair}");
+    }
+    assert!(!pairs.contains("view90.png view101.png"));
+    assert_eq!(pairs.len(), (1..=10).chain([16, 32, 64, 128]).map(|k| 151 - k).sum::<usize>());
 }
 
 #[test]
@@ -322,7 +348,7 @@ fn the_unprocessed_photographs_come_last() {
     let names: std::collections::BTreeSet<_> = tried.iter().map(|(_, name)| name).collect();
     assert_eq!(names.len(), tried.len(), "each has a name of its own: {names:?}");
     let level = |folder: &str| {
-        let copy = scene.work_dir().join(folder).join("v00000.png");
+        let copy = scene.work_dir().join(folder).join("view0.png");
         Image::load(&copy).unwrap().get(9, 9)[0]
     };
     assert!((level("plain") - 0.1).abs() < 0.01 && level("small") > 0.3);

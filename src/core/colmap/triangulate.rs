@@ -1,6 +1,7 @@
 //! Sparse points for views with known poses: COLMAP's features and matches, triangulated.
 
 use super::copies::{Copies, Kind};
+use super::files::{empty, remove_if_there};
 use super::options::{self, masks, set};
 use super::search::Search;
 use crate::cancel::CancelToken;
@@ -23,12 +24,12 @@ impl Search<'_> {
         let copies = Copies::write(&work.join("small"), &views, Kind::Small, cancel)?;
         let (known, output) = (work.join("known"), work.join("triangulated"));
         for folder in [&known, &output] {
-            std::fs::create_dir_all(folder).map_err(PosesError::io(folder))?;
+            empty(folder)?;
         }
         known_model(posed, &copies).write_text(&known)?;
         let database = work.join("known.db");
         self.extract_known(&copies, &database, cancel)?;
-        self.match_features(&database, cancel)?;
+        self.match_features(&copies, &database, cancel)?;
         let settings = [
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),
@@ -46,7 +47,7 @@ impl Search<'_> {
         database: &std::path::Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
-        super::files::remove_if_there(database)?;
+        remove_if_there(database)?;
         let mut settings = vec![
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),

@@ -26,20 +26,10 @@ fn capture() -> Capture {
         let file = dir.path().join(format!("{name}.png"));
         let image: Image<Srgb> = Image::new(40, 30);
         image.save(&file).unwrap();
-        CaptureView {
-            path: PhotoPath::new(&format!("{name}.png")),
-            name,
-            prepared: PreparedImage::write(&image.to_linear(), &file.with_extension("half"))
-                .unwrap(),
-            file,
-            width: 40,
-            height: 30,
-            focal_px: None,
-            orientation: 1,
-            shot: None,
-            gt: None,
-            mask: None,
-        }
+        let prepared =
+            PreparedImage::write(&image.to_linear(), &file.with_extension("half")).unwrap();
+        let path = PhotoPath::new(&format!("{name}.png"));
+        CaptureView { file, ..CaptureView::upright(name, path, prepared) }
     };
     let photographs: Vec<CaptureView> = (0..4).map(photograph).collect();
     let views = photographs.iter().map(pose_view).collect();

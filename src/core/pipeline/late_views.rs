@@ -13,9 +13,9 @@ use super::error::PipelineError;
 use super::evaluate::Likeness;
 use super::poses::publish;
 use super::tools::Tools;
-use super::views::{self, MIN_VIEWS, View};
+use super::views::{self, View};
 use crate::camera::Split;
-use crate::capture::{Capture, CaptureView};
+use crate::capture::{Capture, CaptureView, MIN_VIEWS};
 use crate::event::Stage;
 use crate::metrics::{RoundMetrics, ViewScore};
 use crate::poses::{PoseStatus, PosedView, Poses};
@@ -141,7 +141,7 @@ fn find(
         let joins = likeness.fit >= judgement.least;
         context.sink.log(format!(
             "late view {}: {} of {} points that renders show agree, {:.1} px off, fit {:.2}, {}",
-            placed.posed.name,
+            placed.path,
             placed.agreeing,
             placed.matches,
             placed.error_px,
@@ -197,9 +197,8 @@ fn changed(
 fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[String]) {
     let stands = |name: &String| poses.views.iter().any(|view| view.name == *name);
     let out = leaving.iter().filter(|name| !stands(name));
-    let out: Vec<&str> = out
-        .map(|name| { poses.photographs.get(name) }.map_or(&**name, |path| path.as_str()))
-        .collect();
+    let path = |name| { poses.photographs.get(name) }.map_or(name, |path| path.as_str());
+    let out: Vec<&str> = out.map(|name| path(name)).collect();
     if !out.is_empty() {
         let message = format!(
             "{} of {} photographs fit the scene far worse than the others and were removed: {}; \
@@ -211,7 +210,7 @@ fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[Str
         context.sink.warn("views_taken_out", message);
     }
     let late = poses.views.iter().filter(|view| !before.views.contains(view));
-    let late: Vec<&str> = late.map(|view| &*view.name).collect();
+    let late: Vec<&str> = late.map(|view| path(&view.name)).collect();
     if !late.is_empty() {
         let message = format!("placed with the scene, for the next round: {}", late.join(", "));
         context.sink.log(message);

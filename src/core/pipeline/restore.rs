@@ -68,8 +68,7 @@ impl Restoration<'_> {
         let guide = self.guides.map(|guides| &guides[index]);
         let image = network.restore(&self.images[index], guide)?;
         for warning in network.take_warnings() {
-            let name = &self.views[index].name;
-            let message = format!("{name}: {warning}");
+            let message = format!("{}: {warning}", self.views[index].path);
             context.sink.warn(self.stage.name(), message);
         }
         Ok(image)

@@ -104,6 +104,7 @@ pub(super) mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics};
     use crate::enhance::Anchor;
+    use crate::photo_path::PhotoPath;
     use crate::pipeline::config::LutScope;
     use crate::pipeline::tone::Tone;
     use crate::shake::reference::shaken_image;
@@ -133,6 +134,7 @@ pub(super) mod tests {
             Intrinsics { width: 200, height: 160, fx: 200.0, fy: 200.0, cx: 100.0, cy: 80.0 };
         View {
             name: name.to_owned(),
+            path: PhotoPath::default(),
             camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
             dark: sharp(),
             gt: None,

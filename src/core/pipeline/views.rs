@@ -12,14 +12,12 @@ use super::workspace::Workspace;
 use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, NamedCamera, Split};
 use crate::cancel::CancelToken;
-use crate::capture::{Capture, CaptureView, PreparedImage, on_few_threads};
+use crate::capture::{Capture, CaptureView, MIN_VIEWS, PreparedImage, on_few_threads};
 use crate::image::{Image, Linear};
 use crate::mask::{Mask, counted};
+use crate::photo_path::PhotoPath;
 use crate::poses::{PosedView, Poses};
 use crate::run_folder::RoundPictures;
-
-/// Least number of training views worth a scene.
-pub const MIN_VIEWS: usize = 3;
 
 /// Number of views from which every 8th is held out by default; the published split.
 pub const HELD_OUT_FROM: usize = 12;
@@ -28,6 +26,8 @@ pub const HELD_OUT_FROM: usize = 12;
 #[derive(Clone, Debug)]
 pub struct View {
     pub name: String,
+    /// The owner's path of the photograph, for messages.
+    pub path: PhotoPath,
     /// The pinhole camera at working size.
     pub camera: Camera,
     /// The photograph as taken, sRGB.
@@ -187,22 +187,20 @@ pub fn view(
     size: usize,
 ) -> Result<View, PipelineError> {
     let (width, height) = working_size(photograph.width, photograph.height, size);
+    let failed = |source| PipelineError::Photograph { name: photograph.path.to_string(), source };
     let load = |prepared: &PreparedImage| {
-        let image = prepared.load().map_err(|source| {
-            let name = posed.name.clone();
-            PipelineError::Photograph { name, source }
-        })?;
+        let image = prepared.load().map_err(failed)?;
         Ok::<_, PipelineError>(resample(&posed.undistort(&image), width, height).to_srgb())
     };
     let dark = load(&photograph.prepared)?;
     let gt = photograph.gt.as_ref().map(load).transpose()?;
     let load = |mask: &PreparedImage| {
-        mask.load_mask((width, height), |shares| posed.undistort(shares))
-            .map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
+        mask.load_mask((width, height), |shares| posed.undistort(shares)).map_err(failed)
     };
     let mask = photograph.mask.as_ref().map(load).transpose()?;
     Ok(View {
         name: posed.name.clone(),
+        path: photograph.path.clone(),
         camera: posed.camera.resized(width, height),
         dark,
         gt,

@@ -76,18 +76,10 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         let photograph = photograph.expect("renders");
         photograph.save(&file).expect("saves");
         let prepared = PreparedImage::write(&photograph.to_linear(), &file.with_extension("half"));
+        let path = PhotoPath::new(&format!("{}.png", named.name));
         let view = CaptureView {
-            name: named.name.clone(),
-            path: PhotoPath::new(&format!("{}.png", named.name)),
             file,
-            prepared: prepared.expect("written"),
-            width: SIZE[0],
-            height: SIZE[1],
-            focal_px: None,
-            orientation: 1,
-            shot: None,
-            gt: None,
-            mask: None,
+            ..CaptureView::upright(named.name.clone(), path, prepared.expect("written"))
         };
         let posed = PosedView {
             name: named.name,

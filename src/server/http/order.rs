@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use fled_core::capture::view_names;
 use fled_core::deblur::{BUILT_IN, Model, NetworkChoice, network_names};
 use fled_core::device::AUTO;
 use fled_core::enhance::Target;
@@ -114,10 +113,10 @@ impl Order {
             }
             Err(_) => {}
         }
-        let accepted = report.images.iter().filter(|image| image.accepted);
-        let names = view_names(accepted.map(|image| image.name.as_str()));
+        let is_view =
+            |name: &&str| report.images.iter().any(|image| image.view.as_deref() == Some(name));
         let mut requested = held_out.split(',').map(str::trim).filter(|w| !w.is_empty());
-        match requested.find(|requested| !names.iter().any(|name| name == requested)) {
+        match requested.find(|requested| !is_view(requested)) {
             None => Ok(()),
             Some(unknown) => refused(format!("`{unknown}` is not a view of this capture")),
         }

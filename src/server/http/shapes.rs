@@ -1,7 +1,7 @@
 //! The JSON types of the public API.
 
 use fled_core::camera::Split;
-use fled_core::capture::view_names;
+use fled_core::capture::{CaptureWarning, view_names};
 use fled_core::metrics::Reference;
 use fled_core::poses::overlap::Overlap;
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use utoipa::openapi::Ref;
 use crate::app::crew::Crew;
 use crate::store::state::JobState;
 use crate::store::{CaptureRow, JobDetails, JobRow};
-use crate::validation::{CaptureReport, Warning};
+use crate::validation::{CaptureReport, warnings};
 
 /// A capture with the assessments of its photographs.
 #[derive(Clone, Debug, Serialize, ToSchema)]
@@ -61,6 +61,7 @@ pub fn report(row: &CaptureRow) -> CaptureReport {
         tracing::error!(%error, capture = row.id, "the capture's assessments are damaged");
         CaptureReport { accepted: row.accepted, ..CaptureReport::default() }
     });
+    // Reports of earlier builds lack them.
     let accepted = || report.images.iter().filter(|image| image.accepted);
     let views = view_names(accepted().map(|image| image.name.as_str()));
     let used = { report.images.iter_mut() }.filter(|image| image.accepted);
@@ -116,7 +117,8 @@ pub struct Job {
     #[schema(schema_with = of_overlap)]
     pub overlap: Option<Overlap>,
     /// Warnings.
-    pub warnings: Vec<Warning>,
+    #[schema(schema_with = warnings)]
+    pub warnings: Vec<CaptureWarning>,
     /// Delivered round of a finished job.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub best_round: Option<u32>,
@@ -226,7 +228,7 @@ impl Job {
         Self {
             warnings: warnings
                 .into_iter()
-                .map(|warning| Warning { code: warning.code, message: warning.message })
+                .map(|warning| CaptureWarning { code: warning.code, message: warning.message })
                 .collect(),
             stages: stages
                 .into_iter()

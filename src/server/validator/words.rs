@@ -2,9 +2,10 @@
 
 use std::path::PathBuf;
 
+use fled_core::capture::{Assessment, CaptureWarning};
 use serde::{Deserialize, Serialize};
 
-use crate::validation::{Assessment, Refusal, Warning};
+use crate::validation::Refusal;
 
 /// A request to validate an upload: the only line sent to the process, apart from answers to
 /// [`AssessReply::Needs`], which give the bytes that it may decode at a time.
@@ -56,7 +57,7 @@ pub enum AssessReply {
         /// Usable photographs.
         accepted: u32,
         /// Warnings on the capture as a whole.
-        warnings: Vec<Warning>,
+        warnings: Vec<CaptureWarning>,
     },
     /// The upload is no usable capture. The assessments precede this.
     Refused(Refusal),

@@ -6,10 +6,9 @@ use std::path::Path;
 
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{VideoError, Wanted, take_frames};
-use fled_core::capture::{DecodeBudget, Look, Watch};
+use fled_core::capture::{DecodeBudget, Look, Watch, limit_reader};
 use fled_core::group::guarded;
 use fled_core::image::{Image, ImageError, Srgb};
-use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 use crate::files::data::thumbnail;
@@ -23,7 +22,7 @@ const THUMBNAIL_SIDE: usize = 240;
 /// # Errors
 /// When the service has gone, or the system refuses the limits.
 pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<()> {
-    limit(request.memory)?;
+    limit_reader(request.memory)?;
     if let Some(video) = &request.video {
         match film(video, request.room) {
             Ok(report) => say(&AssessReply::Filmed(report))?,
@@ -61,6 +60,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             };
             (report, last)
         }
+        Err(refusal) if refusal.is_full => return say(&AssessReply::NoRoom),
         Err(mut refusal) => {
             let accepted = refusal.report.accepted;
             let report = std::mem::take(&mut refusal.report);
@@ -84,14 +84,6 @@ fn keep_small(dir: &Path, name: &str, file: &Path, small: &Image<Srgb>) -> Resul
     let scale = THUMBNAIL_SIDE as f64 / small.width().max(small.height()) as f64;
     let side = |length: usize| ((length as f64 * scale.min(1.0)).round() as usize).max(1);
     small.resize_area(side(small.width()), side(small.height())).save(&path)
-}
-
-/// Limits the memory of this process and its children, and disables core dumps.
-fn limit(memory: u64) -> io::Result<()> {
-    let to = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };
-    setrlimit(Resource::As, to(memory))?;
-    setrlimit(Resource::Core, to(0))?;
-    Ok(())
 }
 
 fn film(video: &Filming, room: u64) -> Result<String, VideoError> {

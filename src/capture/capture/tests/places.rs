@@ -283,7 +283,8 @@ fn photographs_with_the_same_name_get_distinct_names() {
         }
     };
     let watch = Watch { tell: &tell, ..Watch::silent() };
-    let capture = Inspection::of(&home.path().join("capture"), home.path(), &watch);
+    let out = home.path().join("out");
+    let capture = Capture::prepare(&home.path().join("capture"), &out, ASSESSED_SIDE, &watch);
     let capture = capture.expect("a capture");
     let names: Vec<&str> = capture.assessments.iter().map(|one| one.name.as_str()).collect();
     assert_eq!(

@@ -70,17 +70,18 @@ fn only_accepted_photographs_leave_images() {
     let folder = capture();
     let copy = folder.path().join("capture/images/b copy.jpg");
     fs::write(copy, jpeg(2)).expect("written");
+    let black = Image::<Srgb>::new(96, 64).encode(EncodeFormat::Png).expect("encoded");
+    fs::write(folder.path().join("capture/images/black.png"), black).expect("written");
     let opened = open(folder.path(), PREPARED_SIDE);
     assert_eq!(opened.views.len(), 3);
     let listed = || {
         let files = fs::read_dir(folder.path().join("scratch/prepared")).expect("listed");
         let names = files.map(|file| file.expect("a file").file_name().into_string());
         let names: BTreeSet<String> = names.map(|name| name.expect("UTF-8")).collect();
-        names.into_iter().filter(|name| !name.starts_with('.')).collect::<Vec<_>>()
+        names.into_iter().filter(|name| name != ".lock").collect::<Vec<_>>()
     };
-    let views = ["view-00000.half", "view-00002.half", "view-00003.half"];
-    assert_eq!(listed()[..2], ["manifest.json", "truth-00000.half"]);
-    assert_eq!(listed()[2..], views);
+    let names = ["a.half", "a.truth.half", "b.half", "c.half", "manifest.json"];
+    assert_eq!(listed(), names, "each by the name of its view");
     let masks = folder.path().join("capture/masks");
     fs::create_dir(&masks).expect("made");
     for name in ["a", "b copy"] {
@@ -88,8 +89,8 @@ fn only_accepted_photographs_leave_images() {
         fs::write(masks.join(format!("{name}.png")), mask).expect("written");
     }
     assert_eq!(open(folder.path(), PREPARED_SIDE).views.len(), 3);
-    assert_eq!(listed()[..3], ["manifest.json", "mask-00000.half", "truth-00000.half"]);
-    assert_eq!(listed()[3..], views);
+    let names = [&["a.half", "a.mask.half"], &names[1..]].concat();
+    assert_eq!(listed(), names);
     let few = folder.path().join("capture/images/a.jpg");
     fs::remove_file(few).expect("removed");
     fs::remove_file(folder.path().join("capture/images/b.jpg")).expect("removed");
@@ -146,7 +147,7 @@ fn a_place_that_cannot_be_written_to_is_no_fault_of_the_photographs() {
 fn a_damaged_image_is_an_error_until_the_capture_is_opened_again() {
     let folder = capture();
     let opened = open(folder.path(), PREPARED_SIDE);
-    let file = folder.path().join("scratch/prepared/view-00000.half");
+    let file = folder.path().join("scratch/prepared/a.half");
     let bytes = fs::read(&file).expect("read");
     fs::write(&file, &bytes[..bytes.len() - 2]).expect("written");
     assert!(opened.views[0].prepared.load().is_err());
@@ -167,7 +168,7 @@ fn a_manifest_that_no_preparation_wrote_is_refused() {
     assert_ne!(given.fingerprint, Capture::prepared(&prepared).expect("read").fingerprint);
     type Change = fn(&mut serde_json::Value);
     let changes: [Change; 6] = [
-        |manifest| manifest["fled_capture"] = 2.into(),
+        |manifest| manifest["fled_capture"] = 3.into(),
         |manifest| manifest["capture"]["views"][0]["name"] = "../a".into(),
         |manifest| manifest["capture"]["views"][0]["name"] = "b".into(),
         |manifest| manifest["capture"]["views"][0]["prepared"]["width"] = 0.into(),

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::Mutex;
 
 use super::{folder, jpeg, picture};
-use crate::capture::{DecodeBudget, Inspection, Look, Watch};
+use crate::capture::{ASSESSED_SIDE, Capture, DecodeBudget, Look, Watch};
 use crate::image::EncodeFormat;
 
 #[test]
@@ -42,8 +42,9 @@ fn a_watch_lends_memory_for_the_two_largest_and_sees_every_photograph() {
         },
     };
     let capture = folder.path().join("capture");
-    let opened = Inspection::of(&capture, &folder.path().join("scratch"), &watch);
-    assert_eq!(opened.expect("a capture").accepted, 3);
+    let out = folder.path().join("scratch");
+    let opened = Capture::prepare(&capture, &out, ASSESSED_SIDE, &watch);
+    assert_eq!(opened.expect("a capture").views.len(), 3);
     assert!(asked.get() >= 3 * (200 * 100 + 100 * 90), "{}", asked.get());
     assert!(asked.get() < 3 * (200 * 100 + 100 * 90 + 96 * 64));
     let mut shown = shown.into_inner().expect("shown");

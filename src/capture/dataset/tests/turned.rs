@@ -66,19 +66,8 @@ impl Stored {
             write_png(&file, orientation, size, &vec![90; size.0 * size.1]);
             let image = Image::load_light(&file, PREPARED_SIDE).unwrap();
             let prepared = PreparedImage::write(&image, &file.with_extension("half")).unwrap();
-            CaptureView {
-                path: PhotoPath::new(&format!("{name}.png")),
-                name,
-                file,
-                width: prepared.width,
-                height: prepared.height,
-                prepared,
-                focal_px: None,
-                orientation: 1,
-                shot: None,
-                gt: None,
-                mask: None,
-            }
+            let path = PhotoPath::new(&format!("{name}.png"));
+            CaptureView { file, ..CaptureView::upright(name, path, prepared) }
         };
         let pose = |index: usize| {
             let eye = DVec3::new(index as f64 - 1.5, 0.3 * index as f64, -4.0);

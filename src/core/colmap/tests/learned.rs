@@ -106,13 +106,13 @@ fn learned_matches_come_first_and_their_model_is_trusted() {
     assert!(at("matches_importer") < at("feature_extractor"));
     assert!(!log.contains("sparse-C"), "the first strategy alone might do better");
     let folder = scene.work_dir().join("learned");
-    let features = std::fs::read_to_string(folder.join("v00003.png.txt")).unwrap();
+    let features = std::fs::read_to_string(folder.join("view3.png.txt")).unwrap();
     assert_eq!(features.lines().next(), Some("40 128"));
     let second = features.lines().nth(2).unwrap();
     assert!(second.starts_with("1 7 1 0 0"), "{second}");
     assert_eq!(second.split(' ').count(), 4 + 128);
     let matches = std::fs::read_to_string(folder.join("matches.txt")).unwrap();
-    assert!(matches.starts_with("v00000.png v00001.png\n0 0\n1 1\n"));
+    assert!(matches.starts_with("view0.png view1.png\n0 0\n1 1\n"));
     assert_eq!(matches.matches("\n\n").count(), 9);
 }
 
@@ -207,7 +207,7 @@ if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
         panic!("{error}");
     };
     assert!(advice.contains("2 places"), "{advice}");
-    assert!(advice.contains("5 (view0, view1, view2, view3, view4)"), "{advice}");
+    assert!(advice.contains("5 (photographs/0.jpg, photographs/1.jpg"), "{advice}");
 }
 
 #[test]

@@ -19,19 +19,9 @@ fn imported(run: &RunFolder, round: Option<u32>) -> PlacedPoses {
         let name = picture.path.file_stem().expect("a stem").to_string_lossy().into_owned();
         let image: Image = Image::new(8, 6);
         let prepared = run.root().join(format!("{name}.half"));
-        CaptureView {
-            name,
-            path: PhotoPath::new(&below),
-            file: picture.path.clone(),
-            prepared: PreparedImage::write(&image.to_linear(), &prepared).expect("written"),
-            width: 8,
-            height: 6,
-            focal_px: None,
-            orientation: 1,
-            shot: None,
-            gt: None,
-            mask: None,
-        }
+        let prepared = PreparedImage::write(&image.to_linear(), &prepared).expect("written");
+        let view = CaptureView::upright(name, PhotoPath::new(&below), prepared);
+        CaptureView { file: picture.path.clone(), ..view }
     };
     let views: Vec<CaptureView> = pictures.into_iter().map(view).collect();
     let paths: Vec<PhotoPath> = views.iter().map(|view| view.path.clone()).collect();

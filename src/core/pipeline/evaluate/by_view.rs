@@ -77,6 +77,7 @@ mod tests {
     use crate::camera::{Camera, Intrinsics, Split};
     use crate::image::Image;
     use crate::metrics::Scores;
+    use crate::photo_path::PhotoPath;
 
     const SIDE: usize = 8;
 
@@ -92,6 +93,7 @@ mod tests {
         };
         View {
             name: name.to_owned(),
+            path: PhotoPath::default(),
             camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
             dark: Image::new(SIDE, SIDE),
             gt,

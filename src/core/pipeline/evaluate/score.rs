@@ -67,6 +67,7 @@ pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
 mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics};
+    use crate::photo_path::PhotoPath;
     use crate::shake::{ShakeKernel, Tap};
     use glam::DVec3;
 
@@ -106,6 +107,7 @@ mod tests {
         let camera = Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y);
         let view = View {
             name: "a".to_owned(),
+            path: PhotoPath::default(),
             camera,
             dark: sharp(),
             gt: None,

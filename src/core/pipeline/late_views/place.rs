@@ -12,6 +12,7 @@ use crate::colmap::brightened;
 use crate::event::Stage;
 use crate::image::{EncodeFormat, Image};
 use crate::mask::Mask;
+use crate::photo_path::PhotoPath;
 use crate::pipeline::config::Options;
 use crate::pipeline::context::{Advance, Context};
 use crate::pipeline::error::PipelineError;
@@ -45,6 +46,8 @@ pub struct Scene<'a> {
 pub struct Placed {
     /// The pose, with the camera at the original's size.
     pub posed: PosedView,
+    /// The owner's path of the photograph.
+    pub path: PhotoPath,
     /// The camera at working size.
     pub camera: Camera,
     /// The photograph at the round's brightness and working size.
@@ -85,7 +88,7 @@ pub fn place(
             Some(query) => queries.push(query),
             None => context.sink.log(format!(
                 "late view {}: no photograph of its size has a pose",
-                photograph.name
+                photograph.path
             )),
         }
     }
@@ -165,15 +168,20 @@ impl Scene<'_> {
         references: &[usize],
     ) -> Result<Vec<PathBuf>, PipelineError> {
         let folder = context.workspace.folder().work().late_views();
-        let dark = queries.iter().map(|query| (&query.view.dark, query.view.mask.as_ref()));
-        let renders = references.iter().map(|&index| (&self.finished.renders[index], None));
-        let write = |(index, (image, mask)): (usize, (&Image, Option<&Mask>))| {
+        let write = |file: String, image: &Image, mask: Option<&Mask>| {
             context.cancel.check()?;
-            let path = folder.join(format!("{index:05}.png"));
+            let path = folder.join(file);
             pictures::write(context.workspace, &path, &brightened(image, mask), EncodeFormat::Png)?;
             Ok(path)
         };
-        dark.chain(renders).enumerate().map(write).collect()
+        let dark = queries.iter().map(|Query { view, .. }| {
+            write(format!("{}.png", view.name), &view.dark, view.mask.as_ref())
+        });
+        let renders = references.iter().map(|&index| {
+            let file = format!("{}.render.png", self.finished.views[index].name);
+            write(file, &self.finished.renders[index], None)
+        });
+        dark.chain(renders).collect()
     }
 
     /// For each photograph, its key points that at least two renders show, at the positions where
@@ -217,7 +225,7 @@ impl Scene<'_> {
         let Some(found) = found.filter(|_| agreeing >= MIN_AGREEING) else {
             context.sink.log(format!(
                 "late view {}: {agreeing} of {} points that renders show agree, too few",
-                view.name,
+                view.path,
                 sightings.len()
             ));
             return None;
@@ -226,6 +234,7 @@ impl Scene<'_> {
         let camera = Camera { world_to_camera: found.camera.world_to_camera, ..posed.camera };
         Some(Placed {
             posed: PosedView { camera, ..posed },
+            path: view.path,
             camera: found.camera,
             image: tone.apply(&view.dark),
             mask: view.mask,

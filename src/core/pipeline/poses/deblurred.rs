@@ -40,9 +40,9 @@ pub fn poses(
     context.sink.event(&Event::StrategyStarted { strategy: STRATEGY, name });
     let bright = brightened(views, depends_on.second.options())?;
     let mut copies = Vec::with_capacity(views.len());
-    for (index, (view, image)) in views.iter().zip(&bright).enumerate() {
+    for (view, image) in views.iter().zip(&bright) {
         context.cancel.check()?;
-        let file = folder.join(format!("d{index:05}.half"));
+        let file = folder.join(format!("{}.half", view.name));
         copies.push(copy(context, tools.deblurrer, view, image, &file)?);
     }
     let seed = depends_on.first.options().seed;
@@ -97,7 +97,7 @@ fn copy(
 ) -> Result<PoseView, PipelineError> {
     let deblurred = network.restore(image, None)?;
     for warning in network.take_warnings() {
-        let message = format!("{}: {warning}", view.name);
+        let message = format!("{}: {warning}", view.path);
         context.sink.warn("poses", message);
     }
     let scale = image.width() as f64 / view.original.0 as f64;
@@ -124,5 +124,5 @@ fn at_original_size(posed: PosedView, views: &[PoseView]) -> Result<PosedView, P
 }
 
 fn unreadable(view: &PoseView, source: ImageError) -> PipelineError {
-    PipelineError::Photograph { name: view.name.clone(), source }
+    PipelineError::Photograph { name: view.path.to_string(), source }
 }

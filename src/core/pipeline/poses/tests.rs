@@ -123,7 +123,7 @@ fn what_no_strategy_can_place_is_deblurred_once_and_asked_about_again() {
             "as the original"
         );
     }
-    assert_eq!(warnings, ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now")));
+    assert_eq!(warnings, ["a", "b", "c"].map(|name| format!("poses: {name}.png: is 0.5 now")));
 }
 
 #[test]
@@ -256,19 +256,8 @@ fn photographs_without_a_pose_and_doubtful_poses_are_reported_once_with_names_an
         }
     };
     let poses = Poses { total: 2, mean_track: Some(2.5), ..placed(1, true, 'C') };
-    let view = CaptureView {
-        name: "cam0_b".to_owned(),
-        path: PhotoPath::new("cam0/b.jpg"),
-        file: PathBuf::new(),
-        prepared: PreparedImage::none(),
-        width: 96,
-        height: 64,
-        focal_px: None,
-        orientation: 1,
-        shot: None,
-        gt: None,
-        mask: None,
-    };
+    let path = PhotoPath::new("cam0/b.jpg");
+    let view = CaptureView::upright("cam0_b".to_owned(), path, PreparedImage::default());
     warn(&mut sink, &poses, &[view]);
     assert_eq!(
         warnings,

@@ -3,6 +3,7 @@
 
 use std::sync::LazyLock;
 
+use fled_core::capture::Assessment;
 use fled_core::metrics::Report;
 use fled_core::poses::overlap::Overlap;
 use schemars::generate::SchemaSettings;
@@ -28,6 +29,10 @@ const OF_UUID: [&str; 3] = ["Capture", "Job", "Video"];
 pub(super) fn complete(api: &mut Value) {
     add_report(api);
     open_objects(api);
+    let routes = api["paths"].as_object_mut().map(std::mem::take).unwrap_or_default();
+    // OpenAPI has no sign for a parameter that may contain slashes.
+    let paths = routes.into_iter().map(|(route, item)| (route.replace("{*", "{"), item));
+    api["paths"] = Value::Object(paths.collect());
     for (name, schema) in members(&mut api["components"]["schemas"]) {
         let is_of_uuid = OF_UUID.contains(&name.as_str());
         add_formats(schema, is_of_uuid);
@@ -45,14 +50,15 @@ fn members(value: &mut Value) -> impl Iterator<Item = (&String, &mut Value)> {
     value.as_object_mut().into_iter().flatten()
 }
 
-/// Adds the types of the core: those of `metrics.json` and of a job's overlap. The rounds response
-/// has its fields, most of them once the file exists.
+/// Adds the types of the core: those of `metrics.json`, of assessments and of a job's overlap. The
+/// rounds response has the fields of the first, most of them once the file exists.
 fn add_report(api: &mut Value) {
     let mut generator = SchemaSettings::draft2020_12()
         .with(|settings| settings.definitions_path = SCHEMAS.into())
         .into_generator();
     generator.subschema_for::<Report>();
     generator.subschema_for::<Overlap>();
+    generator.subschema_for::<Assessment>();
     let mut schemas = generator.take_definitions(true);
     let mut report = schemas.remove("Report").unwrap_or_default();
     let answer = &mut api["components"]["schemas"]["Rounds"]["properties"];

@@ -3,13 +3,14 @@
 use std::time::Duration;
 
 use axum::http::StatusCode;
+use fled_core::capture::CaptureWarning;
 
 use super::Upload;
 use super::videos::{name_of, not_filmed, turn};
 use crate::app::App;
 use crate::http::problem::{Problem, disk_full};
 use crate::http::quota::over_quota;
-use crate::validation::{CaptureReport, Refusal, Warning};
+use crate::validation::{CaptureReport, Refusal};
 use crate::validator::{AssessError, AssessRequest, VideoFaultKind};
 
 /// Hint for a photograph that crashed the process checking it.
@@ -54,9 +55,7 @@ impl Upload {
         })?;
         let mut report = seen.report;
         report.images.extend(videos.unused);
-        report
-            .warnings
-            .extend(seen.filmed.map(|message| Warning { code: "video".to_owned(), message }));
+        report.warnings.extend(seen.filmed.map(|message| CaptureWarning::new("video", message)));
         Ok(report)
     }
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use axum::http::StatusCode;
-use fled_core::capture::MIN_VIEWS;
 use fled_core::capture::video::{FRAMES, MOST_FRAMES};
+use fled_core::capture::{Assessment, MIN_VIEWS};
 use tokio::sync::MutexGuard;
 
 use super::Upload;
@@ -13,7 +13,7 @@ use super::places::{PHOTOGRAPHS, VIDEOS};
 use crate::app::App;
 use crate::error::ServerError;
 use crate::http::problem::Problem;
-use crate::validation::{ARCHIVE, Assessment};
+use crate::validation::ARCHIVE;
 use crate::validator::{Filming, VideoFault, VideoFaultKind};
 
 /// How long an upload waits for other videos to be read, in seconds.
@@ -95,21 +95,8 @@ pub(super) fn name_of(video: &Path) -> String {
 }
 
 fn unused(video: &Path) -> Assessment {
-    Assessment {
-        name: name_of(video),
-        view: None,
-        accepted: false,
-        reason: Some(
-            "a video is used only on its own, and photographs were sent with it".to_owned(),
-        ),
-        width: 0,
-        height: 0,
-        focal_px: None,
-        colours: None,
-        brightness: None,
-        sharpness: None,
-        warnings: Vec::new(),
-    }
+    let reason = "a video is used only on its own, and photographs were sent with it";
+    Assessment::refused(name_of(video), reason.to_owned())
 }
 
 /// A turn to read a video. Each takes processors and a process, so uploads wait for each other for

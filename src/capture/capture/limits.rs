@@ -1,0 +1,33 @@
+//! Limits of a process that reads files of strangers: an upload's validator, or `fled prepare`.
+
+use std::io;
+use std::time::Duration;
+
+use rustix::process::{Resource, Rlimit, setrlimit};
+
+/// Maximum time to read a photograph. The largest take seconds.
+pub const PHOTOGRAPH_TIME: Duration = Duration::from_secs(120);
+
+/// Address space of such a process, bytes, if it prepares small images. A frame of a video with the
+/// maximum number of pixels takes 120 MB in 10 bits, and decoders keep up to 17 frames plus one per
+/// thread.
+pub const READER_MEMORY: u64 = 4 << 30;
+
+/// Memory for each pixel of a prepared image, in all its forms, bytes.
+const PIXEL: u64 = 36;
+
+/// Address space of a process that prepares images of at most `side` px, two at a time, bytes.
+pub fn reader_memory(side: usize) -> u64 {
+    READER_MEMORY + 2 * PIXEL * (side * side) as u64
+}
+
+/// Limits the address space of this process and its children, in bytes, and disables core dumps.
+///
+/// # Errors
+/// If the system refuses.
+pub fn limit_reader(memory: u64) -> io::Result<()> {
+    let to = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };
+    setrlimit(Resource::As, to(memory))?;
+    setrlimit(Resource::Core, to(0))?;
+    Ok(())
+}
