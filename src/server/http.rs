@@ -59,18 +59,18 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{Extensions, HeaderMap, HeaderName, HeaderValue, StatusCode, Version, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{delete, get, head, post, put};
+use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::compression::CompressionLayer;
 use tower_http::csrf::{CsrfLayer, ProtectionError};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
 
 use crate::app::App;
-use paths::{
-    EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORKERS,
-};
+use paths::UPLOAD;
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -86,34 +86,12 @@ const SMALL: usize = 1 << 20;
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' blob:; media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
-/// Every route.
+/// Every route, with its layers.
 pub fn router(app: Arc<App>) -> Router {
-    let small = Router::new()
-        .route("/v1/captures/sample", post(sample::create))
-        .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
-        .route("/v1/captures/{id}/thumbnails/{*name}", get(photographs::thumbnail))
-        .route("/v1/captures/{id}/photographs/{*name}", get(photographs::original))
-        .merge(of_a_job())
-        .merge(of_webhooks())
-        .route("/v1/options", get(options::show))
-        .route("/login", get(login::show).post(login::login))
-        .route("/logout", post(login::logout))
-        .route("/livez", get(health::live))
-        .route("/metrics", get(metrics::show))
-        .route(WORKERS, get(workers::list))
-        .route("/readyz", get(health::ready))
-        .route("/openapi.yaml", get(openapi::show))
-        .route("/openapi.json", get(openapi::show_json))
-        .route("/docs", get(openapi::docs))
-        .route("/", get(dashboard::index))
-        .route("/embed", get(dashboard::embedded))
-        .route("/assets/{*name}", get(dashboard::asset))
-        .layer(DefaultBodyLimit::max(SMALL));
     let header = |name: HeaderName, value: &'static str| {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
     };
-    uploads()
-        .merge(small)
+    Router::from(routes())
         .fallback(dashboard::missing)
         .method_not_allowed_fallback(async || {
             Problem::new(
@@ -143,57 +121,77 @@ pub fn router(app: Arc<App>) -> Router {
         .with_state(app)
 }
 
+/// Every route; those of the API with their description.
+fn routes() -> OpenApiRouter<Arc<App>> {
+    let small = OpenApiRouter::default()
+        .routes(routes!(sample::create))
+        .routes(routes!(captures::show, captures::delete))
+        .routes(routes!(photographs::thumbnail))
+        .routes(routes!(photographs::original))
+        .merge(of_a_job())
+        .merge(of_webhooks())
+        .routes(routes!(options::show))
+        .routes(routes!(health::live))
+        .routes(routes!(health::ready))
+        .routes(routes!(metrics::show))
+        .routes(routes!(workers::list))
+        .routes(routes!(openapi::show))
+        .routes(routes!(openapi::show_json))
+        .route("/login", get(login::show).post(login::login))
+        .route("/logout", post(login::logout))
+        .route("/docs", get(openapi::docs))
+        .route("/", get(dashboard::index))
+        .route("/embed", get(dashboard::embedded))
+        .route("/assets/{*name}", get(dashboard::asset))
+        .layer(DefaultBodyLimit::max(SMALL));
+    uploads().merge(small)
+}
+
 /// Every route below a job.
-fn of_a_job() -> Router<Arc<App>> {
-    Router::new()
-        .route("/v1/jobs/{id}", get(jobs::show).patch(change::change).delete(jobs::delete))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
-        .route("/v1/jobs/{id}/retry", post(retry::retry))
-        .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))
-        .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
-        .route("/v1/jobs/{id}/shares", get(share::list).post(share::create))
-        .route("/v1/jobs/{id}/shares/{share}", delete(share::end))
-        .route("/v1/jobs/{id}/events", get(events::stream))
-        .route("/v1/jobs/{id}/rounds", get(rounds::show))
-        .route("/v1/jobs/{id}/live", get(live::show))
-        .route("/v1/jobs/{id}/log", get(log::show))
-        .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
-        .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
-        .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
-        .route(EXPORTS, get(exports::list))
-        .route(EXPORT, get(exports::download))
-        .route(VIDEOS, get(videos::list).post(videos::create))
-        .route(VIDEO, get(videos::show).delete(videos::delete))
-        .route(VIDEO_FILE, get(videos::download))
+fn of_a_job() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::default()
+        .routes(routes!(jobs::show, change::change, jobs::delete))
+        .routes(routes!(jobs::cancel))
+        .routes(routes!(retry::retry))
+        .routes(routes!(prioritize::prioritize))
+        .routes(routes!(pin::pin, pin::unpin))
+        .routes(routes!(share::list, share::create))
+        .routes(routes!(share::end))
+        .routes(routes!(events::stream))
+        .routes(routes!(rounds::show))
+        .routes(routes!(live::show))
+        .routes(routes!(log::show))
+        .routes(routes!(render::get, render::post))
+        .routes(routes!(artifacts::list))
+        .routes(routes!(artifacts::download))
+        .routes(routes!(exports::list))
+        .routes(routes!(exports::download))
+        .routes(routes!(videos::list, videos::create))
+        .routes(routes!(videos::show, videos::delete))
+        .routes(routes!(videos::download))
 }
 
 /// Every route of webhooks.
-fn of_webhooks() -> Router<Arc<App>> {
-    Router::new()
-        .route(WEBHOOKS, get(webhooks::list).post(webhooks::create))
-        .route(WEBHOOK, delete(webhooks::delete))
-        .route("/v1/webhooks/{id}/test", post(webhooks::test))
-        .route("/v1/webhooks/{id}/deliveries", get(webhooks::deliveries))
-        .route("/v1/webhooks/{id}/deliveries/{delivery}/redeliver", post(webhooks::redeliver))
+fn of_webhooks() -> OpenApiRouter<Arc<App>> {
+    OpenApiRouter::default()
+        .routes(routes!(webhooks::list, webhooks::create))
+        .routes(routes!(webhooks::delete))
+        .routes(routes!(webhooks::test))
+        .routes(routes!(webhooks::deliveries))
+        .routes(routes!(webhooks::redeliver))
 }
 
 /// Routes that take bodies of any size: the largest upload is checked while it streams; no handler
 /// buffers it.
-fn uploads() -> Router<Arc<App>> {
-    let pieces = Router::new()
-        .route(UPLOADS, post(tus::create).options(tus::options))
-        .route(
-            UPLOAD,
-            head(tus::head)
-                .patch(tus::patch)
-                .delete(tus::delete)
-                .post(tus::by_override)
-                .options(tus::options_of_one),
-        )
+fn uploads() -> OpenApiRouter<Arc<App>> {
+    let pieces = OpenApiRouter::default()
+        .routes(routes!(tus::create, tus::options))
+        .routes(routes!(tus::head, tus::patch, tus::delete, tus::options_of_one))
+        .route(UPLOAD, post(tus::by_override))
         .route_layer(middleware::from_fn(tus::check_version));
-    Router::new()
-        .route("/v1/captures", get(captures::list).post(captures::create))
-        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+    OpenApiRouter::default()
+        .routes(routes!(captures::list, captures::create))
+        .routes(routes!(jobs::list, jobs::create))
         .merge(pieces)
         .layer(DefaultBodyLimit::disable())
 }

@@ -9,6 +9,7 @@ use fled_core::capture::{
 };
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use utoipa::openapi::schema::ArrayBuilder;
 use utoipa::openapi::{Array, Ref};
 
 use crate::redaction::without_paths;
@@ -31,12 +32,17 @@ pub struct CaptureReport {
 
 /// The schema of assessments, which the document has from the core.
 fn assessments() -> Array {
-    Array::new(Ref::from_schema_name("Assessment"))
+    list("Assessment", "One assessment per file.")
 }
 
 /// The schema of warnings, which the document has from the core.
 pub fn warnings() -> Array {
-    Array::new(Ref::from_schema_name("Warning"))
+    list("Warning", "Warnings.")
+}
+
+fn list(of: &str, description: &str) -> Array {
+    let list = ArrayBuilder::new().items(Ref::from_schema_name(of));
+    list.description(Some(description)).build()
 }
 
 /// Why an upload is no usable capture.
@@ -58,8 +64,8 @@ pub struct Refusal {
 
 /// Validates the content of `dir`, a single archive or the files of a capture folder, by preparing
 /// it as a job does, with small images that are removed again. A zip stays packed, because only
-/// inside it do its files have their names. It decodes untrusted files, so call it only in a process
-/// that may die.
+/// inside it do its files have their names. It decodes untrusted files, so call it only in a
+/// process that may die.
 ///
 /// # Errors
 /// [`Refusal`] if it is no usable capture.

@@ -82,7 +82,7 @@ pub async fn list(
 }
 
 /// Downloads a file of the job, whole or by range.
-#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", operation_id = "download_artifact",
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{*name}", operation_id = "download_artifact",
     tag = "results",
     params(("id" = String, Path), ("name" = String, Path, description = "Name as listed; may contain `/`"),
         ("Range" = Option<String>, Header, description = "A single range of bytes")),

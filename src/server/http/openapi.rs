@@ -4,16 +4,14 @@ mod complete;
 
 use axum::http::header;
 use axum::response::{IntoResponse, Redirect};
+use serde_json::Value;
+use utoipa::OpenApi as _;
 use utoipa::openapi::path::{Operation, ParameterIn};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
-use utoipa::{Modify, OpenApi as _};
+use utoipa_axum::router::OpenApiRouter;
 
-use super::{
-    artifacts, captures, change, events, exports, health, jobs, live, log, login, metrics, options,
-    photographs, pin, prioritize, render, retry, rounds, sample, share, tus, videos, webhooks,
-    workers,
-};
+use super::{login, rounds, routes};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -23,66 +21,9 @@ use super::{
         license(name = "MIT OR Apache-2.0")
     ),
     servers((url = ".", description = "Where this document is, also below the path of a proxy")),
-    paths(
-        captures::create,
-        sample::create,
-        captures::list,
-        captures::show,
-        photographs::thumbnail,
-        photographs::original,
-        captures::delete,
-        tus::options,
-        tus::create,
-        tus::options_of_one,
-        tus::head,
-        tus::patch,
-        tus::delete,
-        jobs::create,
-        jobs::list,
-        jobs::show,
-        change::change,
-        jobs::cancel,
-        retry::retry,
-        jobs::delete,
-        pin::pin,
-        pin::unpin,
-        prioritize::prioritize,
-        share::create,
-        share::list,
-        share::end,
-        webhooks::create,
-        webhooks::list,
-        webhooks::delete,
-        webhooks::test,
-        webhooks::deliveries,
-        webhooks::redeliver,
-        events::stream,
-        live::show,
-        rounds::show,
-        log::show,
-        render::get,
-        render::post,
-        artifacts::list,
-        artifacts::download,
-        exports::list,
-        exports::download,
-        videos::create,
-        videos::list,
-        videos::show,
-        videos::download,
-        videos::delete,
-        options::show,
-        health::live,
-        health::ready,
-        metrics::show,
-        workers::list,
-        show,
-        show_json
-    ),
     // A schema used only in a query is not found automatically. The dashboard's login is not part
     // of the API, but its types are checked against this document.
-    components(schemas(rounds::Form, login::Session)),
-    modifiers(&Refusals)
+    components(schemas(rounds::Form, login::Session))
 )]
 struct Api;
 
@@ -96,33 +37,28 @@ const UNKNOWN_HOST: (&str, &str) = ("421", "The request does not use a name of t
 const BAD_TEXT: (&str, &str) = ("422", "The address has control characters");
 
 /// Adds to every operation the errors that may occur before its handler.
-struct Refusals;
-
-impl Modify for Refusals {
-    fn modify(&self, api: &mut OpenApi) {
-        let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer);
-        let scheme = scheme.description(Some("Create tokens with `fled token create`."));
-        let scheme = SecurityScheme::Http(scheme.build());
-        let components = api.components.get_or_insert_default();
-        components.add_security_scheme(TOKEN, scheme);
-        for (path, item) in &mut api.paths.paths {
-            let operations = [
-                &mut item.get,
-                &mut item.put,
-                &mut item.post,
-                &mut item.patch,
-                &mut item.delete,
-                &mut item.head,
-            ];
-            for operation in operations.into_iter().flatten() {
-                refuse(operation, path);
-            }
-            // Discovery is open to everyone.
-            if let Some(operation) = &mut item.options {
-                let answers = &mut operation.responses.responses;
-                for (status, description) in [UNKNOWN_HOST, BAD_TEXT] {
-                    answers.insert(status.to_owned(), problem(description).into());
-                }
+fn add_refusals(api: &mut OpenApi) {
+    let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer);
+    let scheme = scheme.description(Some("Create tokens with `fled token create`."));
+    let scheme = SecurityScheme::Http(scheme.build());
+    api.components.get_or_insert_default().add_security_scheme(TOKEN, scheme);
+    for (path, item) in &mut api.paths.paths {
+        let operations = [
+            &mut item.get,
+            &mut item.put,
+            &mut item.post,
+            &mut item.patch,
+            &mut item.delete,
+            &mut item.head,
+        ];
+        for operation in operations.into_iter().flatten() {
+            refuse(operation, path);
+        }
+        // Discovery is open to everyone.
+        if let Some(operation) = &mut item.options {
+            let answers = &mut operation.responses.responses;
+            for (status, description) in [UNKNOWN_HOST, BAD_TEXT] {
+                answers.insert(status.to_owned(), problem(description).into());
             }
         }
     }
@@ -168,10 +104,16 @@ fn problem(description: &str) -> Response {
         .build()
 }
 
-fn api() -> OpenApi {
-    let mut api = serde_json::to_value(Api::openapi()).expect("plain data can be written as JSON");
+fn completed() -> Value {
+    let mut api = OpenApiRouter::with_openapi(Api::openapi()).merge(routes()).into_openapi();
+    add_refusals(&mut api);
+    let mut api = serde_json::to_value(api).expect("plain data can be written as JSON");
     complete::complete(&mut api);
-    serde_json::from_value(api).expect("a test reads it")
+    api
+}
+
+fn api() -> OpenApi {
+    serde_json::from_value(completed()).expect("a test reads it")
 }
 
 /// Returns the OpenAPI document as YAML.
@@ -205,8 +147,6 @@ pub async fn docs() -> Redirect {
 mod tests {
     use std::collections::HashSet;
     use std::path::Path;
-
-    use serde_json::Value;
 
     use super::*;
 
@@ -268,8 +208,7 @@ mod tests {
 
     #[test]
     fn the_document_keeps_its_completed_parts() {
-        let mut completed = serde_json::to_value(Api::openapi()).expect("plain data");
-        complete::complete(&mut completed);
+        let completed = completed();
         let kept = serde_json::to_value(api()).expect("plain data");
         let (mut left, mut right) = (completed.to_string(), kept.to_string());
         if let Some(at) = left.bytes().zip(right.bytes()).position(|(a, b)| a != b) {

@@ -4,8 +4,6 @@
 pub(super) const UPLOADS: &str = "/v1/uploads";
 /// One upload.
 pub(super) const UPLOAD: &str = "/v1/uploads/{id}";
-/// Webhooks.
-pub(super) const WEBHOOKS: &str = "/v1/webhooks";
 /// One webhook.
 pub(super) const WEBHOOK: &str = "/v1/webhooks/{id}";
 /// The export formats of a job's result.

@@ -18,7 +18,7 @@ use crate::sharing::{fetch_photographs, fetch_thumbnails};
 use crate::validation::source;
 
 /// Returns a small picture of a photograph, as it was taken: a JPEG.
-#[utoipa::path(get, path = "/v1/captures/{id}/thumbnails/{name}", operation_id = "show_thumbnail",
+#[utoipa::path(get, path = "/v1/captures/{id}/thumbnails/{*name}", operation_id = "show_thumbnail",
     tag = "captures",
     params(("id" = String, Path), ("name" = String, Path, description = "The photograph's name as assessed; may contain `/`")),
     responses(
@@ -45,7 +45,7 @@ pub async fn thumbnail(
 ///
 /// One from a ZIP is unpacked while it is sent, so its length is unknown and ranges are not
 /// supported.
-#[utoipa::path(get, path = "/v1/captures/{id}/photographs/{name}", operation_id = "show_photograph",
+#[utoipa::path(get, path = "/v1/captures/{id}/photographs/{*name}", operation_id = "show_photograph",
     tag = "captures",
     params(("id" = String, Path), ("name" = String, Path, description = "The photograph's name as assessed; may contain `/`")),
     responses(
