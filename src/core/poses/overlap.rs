@@ -16,9 +16,9 @@ pub struct Overlap {
 /// Two photographs with matches.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct OverlapLink {
-    /// The one.
+    /// One of the photographs.
     pub first: String,
-    /// The other.
+    /// The other one.
     pub second: String,
     /// The number of matches.
     pub matches: usize,
