@@ -4,6 +4,7 @@
 
 const SUBGROUP: u32 = 8;
 const PARTIALS: u32 = WIDTH / SUBGROUP;
+const GROUP: u32 = 16;
 
 fn store_partial(j: u32, lane: u32, lane_in_subgroup: u32, sums: array<f32, SUMS>) {
     let reduced = reduce_sums(lane_in_subgroup, sums);

@@ -1,7 +1,8 @@
-// The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come
-// from shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so
-// both take the same decisions. The light behind a splat is (final colour - colour so far), so
-// nothing is divided by T.
+// The backward of blending for one tile, without its reduction: `store_partial`, PARTIALS and the
+// number of splats between two reductions, GROUP (at most WIDTH), come from
+// shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both
+// take the same decisions. The light behind a splat is (final colour - colour so far), so nothing
+// is divided by T.
 // Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile
 // once. With v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v
 // dx^2, v dx dy), slot_tails (v dy^2), all [slots].
@@ -19,8 +20,6 @@
 @group(0) @binding(9) var<storage, read_write> slot_moments: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> slot_tails: array<f32>;
 
-// Splats between two reductions; at most WIDTH.
-const GROUP: u32 = 16;
 const SUMS: u32 = 9;
 
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;

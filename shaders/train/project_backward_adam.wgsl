@@ -3,9 +3,9 @@
 // harmonics and activations, adds the MCMC regularisers, limits the depth, updates, and adds
 // exploration noise.
 // Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots]
-// (see shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry
-// [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row],
-// counters [0] (non-finite gradients dropped).
+// (see shared/raster_backward.wgsl). Reads and writes geometry [part, 12], geometry_moments
+// [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters (the exact number of
+// intersections, and that of non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
 // WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments.
 // ACCUMULATE_POSITION = 1 adds the length of the gradient by the position, in normalised device
@@ -35,12 +35,11 @@ const DEEPEST: f32 = 0.25;
 @group(0) @binding(5) var<storage, read> slot_colours: array<vec4<f32>>;
 @group(0) @binding(6) var<storage, read> slot_moments: array<vec4<f32>>;
 @group(0) @binding(7) var<storage, read> slot_tails: array<f32>;
-@group(0) @binding(8) var<storage, read> intersections: array<u32>;
-@group(0) @binding(9) var<storage, read_write> geometry: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read_write> geometry_moments: array<vec4<f32>>;
-@group(0) @binding(11) var<storage, read_write> sh: array<vec4<f32>>;
-@group(0) @binding(12) var<storage, read_write> sh_moments: array<vec4<f32>>;
-@group(0) @binding(13) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(8) var<storage, read_write> geometry: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> geometry_moments: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> sh: array<vec4<f32>>;
+@group(0) @binding(11) var<storage, read_write> sh_moments: array<vec4<f32>>;
+@group(0) @binding(12) var<storage, read_write> counters: array<atomic<u32>>;
 
 // Finite, and so small that its square is finite too: by bits, for NaN has no order in WGSL.
 fn fits3(v: vec3<f32>) -> bool {
@@ -226,7 +225,8 @@ fn main(
 ) {
     let row = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
     let i = part.first + row;
-    if (row >= part.rows || i >= camera.count || intersections[train.total_at] > train.capacity) {
+    let total = atomicLoad(&counters[train.total_at]);
+    if (row >= part.rows || i >= camera.count || total > train.capacity) {
         return;
     }
     let g = load_geometry(row);
@@ -250,7 +250,7 @@ fn main(
     }
     if (!(fits3(by.mean) && fits3(by.log_scale) && fits3(by.quat.xyz) && fits3(gated)
         && fits3(vec3<f32>(by.quat.w, by.logit, 0.0)))) {
-        atomicAdd(&counters[0], 1u);
+        atomicAdd(&counters[train.dropped_at], 1u);
         return;
     }
     by.logit += train.opacity_weight * shape.opacity * (1.0 - shape.opacity);

@@ -17,6 +17,7 @@ mod round;
 pub mod schedule;
 mod trainer;
 mod training;
+mod trial;
 
 use crate::device::Device;
 pub use crate::shake::Response;
@@ -33,6 +34,7 @@ pub use round::{
 pub use schedule::Schedule;
 pub use trainer::Stepper;
 pub use training::TrainingState;
+pub use trial::{TrialError, trial};
 
 /// Trains one round.
 ///

@@ -12,6 +12,7 @@ use fled_core::device::Device;
 use fled_core::features::weights::Package;
 use fled_core::inference::runtime;
 use fled_core::pipeline::error::ErrorKind;
+use fled_core::reconstruct::{self, TrialError};
 use fled_gpu::GpuError;
 use serde::Serialize;
 
@@ -30,6 +31,9 @@ pub struct Args {
     /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
+    /// Leaves out the check that trains.
+    #[arg(long)]
+    no_training: bool,
     /// Prints one line of JSON instead of a table.
     #[arg(long)]
     json: bool,
@@ -102,13 +106,19 @@ fn checks(args: &Args, device: Result<Device, GpuError>) -> Vec<Check> {
         ..deblur::OpenOptions::default()
     };
     let model = models(&open);
+    let training = device.as_ref().ok().filter(|_| !args.no_training).map(trial);
     let adapter = device.map(|device| device.to_string());
-    vec![
+    let checks = [
         Check::new(
             "adapter",
             adapter,
             "A GPU needs its Vulkan driver, a processor AVX2; without either, install \
              mesa-vulkan-drivers",
+        ),
+        Check::new(
+            "training",
+            training.unwrap_or_else(|| Ok("not tried".to_owned())),
+            "Update the driver, or choose another device, such as `--adapter cpu`",
         ),
         Check::new(
             "colmap",
@@ -120,7 +130,14 @@ fn checks(args: &Args, device: Result<Device, GpuError>) -> Vec<Check> {
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
         Check::new("disk", disk(args), "Free some space; a run may need 2 GiB"),
-    ]
+    ];
+    checks.into()
+}
+
+/// Trains ten steps on the device.
+fn trial(device: &Device) -> Result<String, TrialError> {
+    let seconds = reconstruct::trial(device)?;
+    Ok(format!("ten steps and a render in {seconds:.1} s"))
 }
 
 /// The weights that find and match key points. A machine without them is not faulty: COLMAP has its

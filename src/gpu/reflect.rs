@@ -23,6 +23,10 @@ pub struct Reflection {
     pub bindings: Vec<ReflectedBinding>,
     /// Invocations per workgroup of the entry point `main`; zeros without one.
     pub workgroup: [u32; 3],
+    /// Bytes of workgroup memory.
+    pub workgroup_bytes: u32,
+    /// Whether it uses subgroups.
+    pub uses_subgroups: bool,
     /// All declared structs.
     pub structs: Vec<ReflectedStruct>,
     /// All scalar module constants, as f64.
@@ -88,6 +92,8 @@ pub fn reflect(name: &str, text: &str) -> Result<Reflection, GpuError> {
     Ok(Reflection {
         bindings: bindings(name, &module)?,
         workgroup,
+        workgroup_bytes: workgroup_bytes(&module),
+        uses_subgroups: is_refused_without_subgroups(&module),
         structs: structures(&module),
         constants: constants(&module),
     })
@@ -123,6 +129,16 @@ fn bindings(name: &str, module: &naga::Module) -> Result<Vec<ReflectedBinding>, 
     }
     found.sort_by_key(|b| b.number);
     Ok(found)
+}
+
+fn workgroup_bytes(module: &naga::Module) -> u32 {
+    let variables = module.global_variables.iter();
+    let shared = variables.filter(|(_, variable)| variable.space == AddressSpace::WorkGroup);
+    shared.map(|(_, variable)| module.types[variable.ty].inner.size(module.to_ctx())).sum()
+}
+
+fn is_refused_without_subgroups(module: &naga::Module) -> bool {
+    Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(module).is_err()
 }
 
 fn structures(module: &naga::Module) -> Vec<ReflectedStruct> {
@@ -161,6 +177,7 @@ mod tests {
         let found = reflect("shared/test_axpy", &text).expect("valid");
         assert_eq!(found.workgroup, [32, 1, 1]);
         assert_eq!(found.constant("WIDTH"), Some(32.0));
+        assert!(found.workgroup_bytes == 0 && !found.uses_subgroups);
         let scale = found.structure("TestScale").expect("declared");
         assert_eq!((scale.size, &scale.members[1]), (8, &("count".to_owned(), 4)));
         let names: Vec<_> =

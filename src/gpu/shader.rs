@@ -103,6 +103,57 @@ mod tests {
         assert!(used.len() >= 3 && unused.is_empty(), "not imported: {unused:?}");
     }
 
+    /// Storage buffers that wgpu offers on every Vulkan adapter; WebGPU's own limit is 8.
+    const STORAGE_BUFFERS: usize = 10;
+    /// WebGPU's limits.
+    const WORKGROUP_BYTES: u32 = 16 << 10;
+    const INVOCATIONS: u32 = 256;
+
+    /// What a kernel demands beyond the limits that every adapter has.
+    fn demands(found: &reflect::Reflection) -> Vec<String> {
+        let is_storage =
+            |binding: &&reflect::ReflectedBinding| binding.access != reflect::Access::Uniform;
+        let buffers = found.bindings.iter().filter(is_storage).count();
+        let invocations: u32 = found.workgroup.iter().product();
+        let bytes = found.workgroup_bytes;
+        let faults = [
+            (buffers > STORAGE_BUFFERS).then(|| format!("{buffers} storage buffers")),
+            (bytes > WORKGROUP_BYTES).then(|| format!("{bytes} bytes of workgroup memory")),
+            (invocations > INVOCATIONS).then(|| format!("{invocations} invocations")),
+        ];
+        faults.into_iter().flatten().collect()
+    }
+
+    #[test]
+    fn every_kernel_runs_on_every_adapter_or_has_one_beside_it_that_does() {
+        let mut with_subgroups = Vec::new();
+        for name in names().filter(|name| !name.starts_with("shared/")) {
+            let text = expand(name, &[]).expect("expands");
+            let found = reflect::reflect(name, &text).expect("valid");
+            if found.uses_subgroups {
+                assert!(source(&format!("{name}_generic")).is_ok(), "{name} has no other");
+                with_subgroups.push(name);
+                continue;
+            }
+            assert_eq!(demands(&found), [""; 0], "{name}");
+        }
+        assert_eq!(with_subgroups, ["splat/rasterize_backward"]);
+    }
+
+    #[test]
+    fn a_kernel_that_demands_more_is_found() {
+        let buffers: String = (0..11)
+            .map(|n| format!("@group(0) @binding({n}) var<storage> b{n}: array<u32>;\n"))
+            .collect();
+        let text = format!(
+            "{buffers}var<workgroup> shared_words: array<u32, 5000>;\n\
+             @compute @workgroup_size(257) fn main() {{ shared_words[0] = 1u; }}"
+        );
+        let found = reflect::reflect("greedy", &text).expect("valid");
+        let expected = ["11 storage buffers", "20000 bytes of workgroup memory", "257 invocations"];
+        assert_eq!(demands(&found), expected);
+    }
+
     #[test]
     fn a_shader_with_a_type_error_fails_validation() {
         let error =

@@ -84,7 +84,7 @@ impl ServeConfig {
             render_command: command(&["render-worker"]),
             assess_command: command(&["assess-worker"]),
             video_command: command(&["video"]),
-            doctor_command: command(&["doctor", "--json"]),
+            doctor_command: command(&["doctor", "--json", "--no-training"]),
             inner_webhooks: false,
             ffmpeg: "ffmpeg".into(),
             models: Vec::new(),

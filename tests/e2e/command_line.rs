@@ -97,7 +97,7 @@ fn the_doctor_finds_all_that_the_tests_need() {
     let output = fled(&["doctor"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(code(&output), 0, "{text}");
-    for what in ["adapter", "colmap", "onnxruntime", "models", "disk"] {
+    for what in ["adapter", "training", "colmap", "onnxruntime", "models", "disk"] {
         assert!(
             text.lines().any(|line| line.starts_with("ok") && line.contains(what)),
             "{what} in\n{text}"

@@ -21,7 +21,6 @@ pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
         read("slot_colours"),
         read("slot_moments"),
         read("slot_tails"),
-        read("intersections"),
         read_write("geometry"),
         read_write("geometry_moments"),
         read_write("sh"),
@@ -99,10 +98,10 @@ pub struct StepUniform {
     pub step: u32,
     /// Number of slots; a step with more intersections is void.
     pub capacity: u32,
-    /// Index of the number of intersections in its buffer.
+    /// Index of the number of intersections in the counters.
     pub total_at: u32,
-    /// Unused.
-    pub pad: u32,
+    /// Index of the number of gradients dropped there.
+    pub dropped_at: u32,
 }
 
 impl StepUniform {
@@ -139,8 +138,9 @@ pub struct SlotGradients<'a> {
     pub slot_offsets: &'a Buffer<u32>,
     /// The gradients in the slots.
     pub rows: &'a SlotRows,
-    /// Holds the exact number of intersections at `StepUniform::total_at`.
-    pub totals: &'a Buffer<u32>,
+    /// Holds the exact number of intersections at `StepUniform::total_at`, and counts dropped
+    /// gradients at `StepUniform::dropped_at`.
+    pub counters: &'a Buffer<u32>,
 }
 
 /// Trained numbers of a [`GeometryRow`](crate::splat::rows::GeometryRow).
@@ -171,8 +171,6 @@ pub struct Optimizer {
     pub geometry_moments: Rows<f32>,
     /// [capacity, 2, `sh_row`].
     pub sh_moments: Rows<f32>,
-    /// [0]: non-finite gradients dropped.
-    pub counters: Buffer<u32>,
 }
 
 #[repr(C)]
@@ -206,7 +204,6 @@ impl Optimizer {
                 per_part,
             )?,
             sh_moments: gpu.create_rows("sh moments", rows, 2 * gaussians.sh.length(), per_part)?,
-            counters: gpu.create("optimizer counters", 4)?,
         })
     }
 
@@ -244,12 +241,11 @@ impl Optimizer {
                     &slots.rows.colours,
                     &slots.rows.moments,
                     &slots.rows.tails,
-                    slots.totals,
                     &gaussians.geometry.parts()[n],
                     &self.geometry_moments.parts()[n],
                     &gaussians.sh.parts()[n],
                     &self.sh_moments.parts()[n],
-                    &self.counters,
+                    slots.counters,
                 ],
                 part.rows,
             )?;

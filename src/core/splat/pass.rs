@@ -171,7 +171,7 @@ impl ForwardPass {
         if sizes == self.buffers.sizes() {
             return Ok(());
         }
-        self.buffers = SplatBuffers::new(&self.gpu, sizes, self.gradients)?;
+        self.buffers = self.buffers.resized(&self.gpu, sizes, self.gradients)?;
         self.generation += 1;
         Ok(())
     }

@@ -77,7 +77,7 @@ impl Bench {
         Self {
             optimizer: Optimizer::new(gpu, &device, false).expect("created"),
             offsets: gpu.upload("offsets", &offsets).expect("uploaded"),
-            totals: gpu.upload("totals", &[0, slots]).expect("uploaded"),
+            totals: gpu.upload("totals", &[0, slots, 0]).expect("uploaded"),
             rows: uploaded,
             gaussians,
             view,
@@ -89,10 +89,10 @@ impl Bench {
     }
 
     fn step(&self, kernel: &Kernel, uniform: StepUniform) {
-        let uniform = StepUniform { total_at: 1, capacity: self.slots, ..uniform };
+        let uniform = StepUniform { total_at: 1, dropped_at: 2, capacity: self.slots, ..uniform };
         self.optimizer.step.write(&[uniform]).expect("written");
         let slots =
-            SlotGradients { slot_offsets: &self.offsets, rows: &self.rows, totals: &self.totals };
+            SlotGradients { slot_offsets: &self.offsets, rows: &self.rows, counters: &self.totals };
         let mut recorder = fixtures::gpu().recorder();
         let optimizer = &self.optimizer;
         optimizer
@@ -210,7 +210,7 @@ fn non_finite_gradients_are_dropped_and_counted() {
     let before = bench.device.download().expect("read");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");
-    assert_eq!(bench.optimizer.counters.read().expect("read")[0], 3);
+    assert_eq!(bench.totals.read().expect("read")[2], 3);
     for &i in &[visible[0], visible[3], visible[5]] {
         assert_eq!(before.means[i], after.means[i]);
     }
@@ -310,6 +310,7 @@ fn the_step_uniform_has_the_shaders_layout() {
     assert_eq!(offset("opacity_weight"), Some(std::mem::offset_of!(StepUniform, opacity_weight)));
     assert_eq!(offset("noise"), Some(std::mem::offset_of!(StepUniform, noise)));
     assert_eq!(offset("total_at"), Some(std::mem::offset_of!(StepUniform, total_at)));
+    assert_eq!(offset("dropped_at"), Some(std::mem::offset_of!(StepUniform, dropped_at)));
     let (beta_m, beta_v) = (found.constant("BETA_M"), found.constant("BETA_V"));
     assert!((beta_m.expect("declared") - BETA_M).abs() < 1e-6);
     assert!((beta_v.expect("declared") - BETA_V).abs() < 1e-6);

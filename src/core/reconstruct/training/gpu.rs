@@ -85,6 +85,7 @@ impl GpuTraining {
         let (_, total_at) = pass.buffers().totals();
         numbers.capacity = pass.buffers().sizes().intersections as u32;
         numbers.total_at = total_at;
+        numbers.dropped_at = pass.buffers().dropped_at();
         pass.projection.camera.write(&[camera])?;
         self.optimizer.step.write(&[numbers])?;
         let (Some(shake), Some(wanted)) = (&self.shake, step.kernel) else {
@@ -143,7 +144,7 @@ impl GpuTraining {
         let slots = SlotGradients {
             slot_offsets: &buffers.slot_offsets,
             rows: &buffers.slots,
-            totals: buffers.totals().0,
+            counters: buffers.totals().0,
         };
         self.optimizer.record(&mut recorder, &pass.gaussians, &pass.projection, &slots)?;
         Ok(recorder)
@@ -259,7 +260,7 @@ impl Training for GpuTraining {
     }
 
     fn non_finite(&self) -> Result<u32, GpuError> {
-        Ok(self.optimizer.counters.read()?[0])
+        self.scene.pass.buffers().dropped()
     }
 
     fn geometry(&self) -> Result<Vec<GeometryRow>, GpuError> {
@@ -304,7 +305,7 @@ impl Training for GpuTraining {
         gaussians.count = state.count();
         self.optimizer.geometry_moments.write(&state.geometry_moments)?;
         self.optimizer.sh_moments.write(&state.sh_moments)?;
-        self.optimizer.counters.write(&[state.non_finite])?;
+        self.scene.pass.buffers().set_dropped(state.non_finite)?;
         if let Some(noise) = &mut self.noise {
             noise.restore(&state.noise)?;
         }

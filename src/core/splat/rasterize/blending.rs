@@ -62,8 +62,7 @@ impl Specialisation {
     pub(super) fn backward(self) -> Kernel {
         match self.subgroup {
             Some(size) => RASTERIZE_BACKWARD.with(&[("SUBGROUP", size)]),
-            // More splats between two reductions exceed 32 KiB of workgroup memory.
-            None => RASTERIZE_BACKWARD_GENERIC.with(&[("GROUP", 8)]),
+            None => RASTERIZE_BACKWARD_GENERIC,
         }
     }
 }

@@ -10,6 +10,9 @@ use crate::splat::uniform::TILE;
 pub(super) const VISIBLE: u32 = 0;
 /// Counter of intersections.
 pub(super) const INTERSECTIONS: u32 = 1;
+/// Counter of gradients that training dropped, which is not of an image: kernels that run
+/// everywhere bind few buffers, so it shares this one.
+const DROPPED: u32 = 2;
 
 /// The sizes of a rasteriser's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +105,7 @@ impl SplatBuffers {
     /// # Errors
     /// Out of memory, or more than the adapter can bind.
     pub fn new(gpu: &Gpu, sizes: SplatSizes, gradients: bool) -> Result<Self, GpuError> {
-        let counters = Counters::new(gpu, 2)?;
+        let counters = Counters::new(gpu, 3)?;
         let (gaussians, slots) = (sizes.gaussians, sizes.intersections);
         let pixels = sizes.width * sizes.height;
         let tile_bits = usize::BITS - sizes.tiles().leading_zeros();
@@ -132,6 +135,14 @@ impl SplatBuffers {
         })
     }
 
+    /// Buffers of other sizes, with the same counters.
+    ///
+    /// # Errors
+    /// As [`SplatBuffers::new`].
+    pub fn resized(&self, gpu: &Gpu, sizes: SplatSizes, gradients: bool) -> Result<Self, GpuError> {
+        Ok(Self { counters: self.counters.clone(), ..Self::new(gpu, sizes, gradients)? })
+    }
+
     pub fn sizes(&self) -> SplatSizes {
         self.sizes
     }
@@ -139,6 +150,27 @@ impl SplatBuffers {
     /// The buffer with the exact number of intersections, and its index there.
     pub fn totals(&self) -> (&Buffer<u32>, u32) {
         (&self.counters.values, INTERSECTIONS)
+    }
+
+    /// Index of the number of dropped gradients in that buffer.
+    pub fn dropped_at(&self) -> u32 {
+        DROPPED
+    }
+
+    /// Number of gradients that training dropped.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn dropped(&self) -> Result<u32, GpuError> {
+        Ok(self.counters.values.read()?[DROPPED as usize])
+    }
+
+    /// Sets the number of gradients that training dropped; an image sets the other counters anew.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn set_dropped(&self, dropped: u32) -> Result<(), GpuError> {
+        self.counters.values.write(&[0, 0, dropped])
     }
 
     /// Starts reading back the counts of the last submission.
