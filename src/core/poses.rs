@@ -8,7 +8,7 @@ mod picture;
 pub mod pnp;
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use fled_capture::poses::*;
 use glam::DVec3;

@@ -68,8 +68,7 @@ pub fn evaluate(
     let number = finished.round.number;
     let metrics = context.stage(Stage::Evaluate, number, |context| {
         let tone = finished.next.map(|next| &next.to_target);
-        let target =
-            TargetImages { enhanced: &brightening.target, images: finished.images, tone };
+        let target = TargetImages { enhanced: &brightening.target, images: finished.images, tone };
         let metrics = measure(finished, &target, brightening, before.last());
         let rounds = [before, std::slice::from_ref(&metrics)].concat();
         if report::delivered_round(&rounds, finished.deliver) == number {

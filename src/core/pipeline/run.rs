@@ -181,8 +181,7 @@ fn round(
     let round = &brightening.rounds[input.index];
     let on = state.depends_on.round(round.number, before.as_ref().map(|before| &before.depends_on));
     let brightened = before.as_ref().map(|before| before.next.enhanced.clone());
-    let guides =
-        before.as_mut().and_then(|before| before.take_guides(options.guide, on.is_guided));
+    let guides = before.as_mut().and_then(|before| before.take_guides(options.guide, on.is_guided));
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
         views,
