@@ -5,6 +5,8 @@ mod processor;
 mod scene;
 
 use std::fmt;
+use std::fs;
+use std::path::Path;
 
 use fled_gpu::{Gpu, GpuError};
 
@@ -28,6 +30,15 @@ pub struct DeviceFacts {
     pub is_gpu: bool,
     /// Bytes of a GPU's own memory; `None` if it shares the processor's, or if that is unknown.
     pub own_memory: Option<u64>,
+}
+
+/// The memory of a machine, bytes; `None` where it is unknown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemoryRoom {
+    /// Main memory, or what the control group of this process may have of it.
+    pub host: Option<u64>,
+    /// The GPU's own; `None` also if it has none.
+    pub device: Option<u64>,
 }
 
 /// A device. Clones are cheap and share it.
@@ -78,6 +89,12 @@ impl Device {
         DeviceFacts { name, is_gpu: self.is_gpu(), own_memory }
     }
 
+    /// The memory of this machine. What others use of it is not taken off: a resumed run must find
+    /// the same.
+    pub fn memory_room(&self) -> MemoryRoom {
+        MemoryRoom { host: host_memory(), device: self.facts().own_memory }
+    }
+
     /// Identifies devices with the same results, bit for bit: an adapter with its driver, or any
     /// processor.
     pub fn identity(&self) -> String {
@@ -123,9 +140,29 @@ impl fmt::Display for Device {
     }
 }
 
+/// Main memory, or what the control group of this process may have of it, bytes.
+pub fn host_memory() -> Option<u64> {
+    let total = meminfo(&fs::read_to_string("/proc/meminfo").unwrap_or_default());
+    let groups = fs::read_to_string("/proc/self/cgroup").unwrap_or_default();
+    let group = groups.lines().find_map(|line| line.strip_prefix("0::")).unwrap_or("/");
+    let folders = Path::new(group).ancestors().filter_map(|at| at.strip_prefix("/").ok());
+    let limit = |below: &Path| {
+        let path = Path::new("/sys/fs/cgroup").join(below).join("memory.max");
+        fs::read_to_string(path).ok()?.trim().parse().ok()
+    };
+    folders.filter_map(limit).chain(total).min()
+}
+
+/// All memory of a machine by `/proc/meminfo`, bytes.
+fn meminfo(text: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
 /// The processor's model, as its maker calls it.
 fn processor_name() -> String {
-    let facts = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let facts = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = facts.lines().find(|line| line.starts_with("model name"));
     let name = model.and_then(|line| line.split_once(':')).map(|(_, name)| name.trim());
     name.unwrap_or("unknown processor").to_owned()
@@ -146,6 +183,14 @@ mod tests {
         assert!(shown.starts_with(&name) && !is_gpu && own_memory.is_none(), "{name}");
         let refused = Device::new("no such adapter");
         assert!(matches!(refused, Err(GpuError::NoAdapter { .. })));
+    }
+
+    #[test]
+    fn the_memory_of_a_machine_is_read() {
+        assert_eq!(meminfo("MemTotal:       2048 kB\nMemFree:    1 kB\n"), Some(2 << 20));
+        assert_eq!(meminfo("MemFree:    1 kB\n"), None);
+        let MemoryRoom { host, device } = Device::Processor.memory_room();
+        assert!(host.is_some_and(|host| host > 256 << 20) && device.is_none(), "{host:?}");
     }
 
     #[test]

@@ -10,6 +10,7 @@
 
 mod context;
 mod deblur;
+mod decide;
 mod deliver;
 mod dependencies;
 mod detail;
@@ -20,6 +21,7 @@ mod exposures;
 mod guide;
 mod late_views;
 mod match_brightness;
+mod memory;
 mod pictures;
 mod plan;
 pub mod poses;

@@ -10,6 +10,7 @@ mod forward_model;
 pub mod initialise;
 mod look;
 pub mod loss;
+mod memory;
 mod observed;
 pub mod optimizer;
 mod registration;
@@ -26,6 +27,7 @@ pub use config::{Background, Densify, Pace, TrainConfig};
 pub use error::ReconstructError;
 pub use initialise::{Point, camera_extent, initialise, scene_depth, scene_extent};
 pub use look::Look;
+pub use memory::device_bytes;
 pub use registration::{CORRECTIONS, Registration};
 pub use round::{
     CheckpointHook, LookHook, ProgressHook, Seen, SeenHook, TrainHooks, TrainStart, Trained,

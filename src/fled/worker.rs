@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use fled_core::device::Device;
+use fled_core::device::{Device, host_memory};
 use fled_core::pipeline::error::ErrorKind;
 use fled_server::ServeConfig;
 use fled_server::store::About;
@@ -64,15 +64,7 @@ pub fn about(adapter: &str, jobs: usize) -> About {
         adapter: found.as_ref().map(ToString::to_string),
         has_gpu: found.is_some_and(|device| device.is_gpu()),
         cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
-        memory: memory().unwrap_or(0),
+        memory: host_memory().unwrap_or(0),
         jobs: jobs as u32,
     }
-}
-
-/// This machine's memory in bytes, if known.
-fn memory() -> Option<u64> {
-    let memory = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = memory.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
-    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kib * 1024)
 }

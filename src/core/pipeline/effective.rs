@@ -77,7 +77,7 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) ->
         }
         Some(CaptureShake::Shaken) => {
             let area = (f64::from(size) / f64::from(options.longest_side())).powi(2);
-            if size != options.longest_side() && options.cap == Setting::Auto {
+            if size != options.longest_side() && options.cap.is_open() {
                 let cap = (f64::from(options.most_gaussians()) * area).round();
                 options.cap = Setting::Given(cap as u32);
             }

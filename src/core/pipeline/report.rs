@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::config::{Deliver, Options};
 use super::context::Context;
-use super::detail::Chosen;
+use super::decide::Decision;
 use super::error::PipelineError;
 use super::tools::{Networks, Tools};
 use crate::deblur::RestorerInfo;
@@ -15,11 +15,8 @@ use crate::metrics::{Report, RoundMetrics};
 use crate::poses::Poses;
 
 /// The report of a run that has not finished a round.
-///
-/// `asked` are the options before the device decided the detail.
 pub fn begin(
-    asked: &Options,
-    chosen: &Chosen,
+    decision: &Decision<'_>,
     tools: &Tools<'_>,
     networks: &Networks,
     poses: &Poses,
@@ -38,7 +35,7 @@ pub fn begin(
         shaken_views: None,
         capture_shake: None,
         exposure: None,
-        detail: chosen.detail.clone(),
+        detail: decision.detail.clone(),
         in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
         adapter: tools.device.to_string(),
@@ -46,8 +43,8 @@ pub fn begin(
         fallbacks: tools.fallbacks.clone(),
         poses: facts(poses),
         scene_offset: by.left_out.then(|| by.offset.to_array()),
-        seed: asked.seed,
-        config: json!(asked),
+        seed: decision.asked.seed,
+        config: json!(decision.asked),
     }
 }
 

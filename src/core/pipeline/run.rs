@@ -3,9 +3,9 @@
 use super::config::{Guide, Options};
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
+use super::decide::{Decision, decide};
 use super::deliver::{deliver, delivered};
 use super::dependencies::{RoundDependencies, RunDependencies};
-use super::detail::{Chosen, choose};
 use super::effective::Effective;
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
@@ -91,10 +91,10 @@ pub fn run(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
-    let chosen = choose(asked, &tools.device.facts())?;
-    let options = &chosen.options;
+    let decision = decide(capture, asked, tools.device)?;
+    let options = &decision.options;
     let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, asked, &chosen, tools, workspace, sink, cancel)?;
+    let context = &mut begin(capture, &decision, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
     let whole = depends_on.run();
@@ -102,7 +102,7 @@ pub fn run(
         return Ok(Outcome { report });
     }
     publish(workspace, &poses)?;
-    let mut report = report::begin(asked, &chosen, tools, depends_on.networks(), &poses);
+    let mut report = report::begin(&decision, tools, depends_on.networks(), &poses);
     let mut views = views::load(context, capture, &poses, options)?;
     let (exposures, found) =
         exposures::find(context, tools.device, options, capture, &poses, &views)?;
@@ -333,41 +333,37 @@ pub fn find_poses(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
-    let chosen = choose(asked, &tools.device.facts())?;
-    let options = &chosen.options;
+    let decision = decide(capture, asked, tools.device)?;
+    let options = &decision.options;
     let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, asked, &chosen, tools, workspace, sink, cancel)?;
+    let context = &mut begin(capture, &decision, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     publish(workspace, &poses)?;
     Ok(poses)
 }
 
-/// Writes the options of the run and reports its start. `asked` are the options before the device
-/// decided the detail.
+/// Writes the options of the run and reports its start.
 fn begin<'a>(
     capture: &Capture,
-    asked: &Options,
-    chosen: &Chosen,
+    decision: &Decision<'_>,
     tools: &Tools<'_>,
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
     cancel: &'a CancelToken,
 ) -> Result<Context<'a>, PipelineError> {
     cancel.check()?;
-    workspace.write_json(&workspace.folder().config(), asked)?;
+    workspace.write_json(&workspace.folder().config(), decision.asked)?;
     if workspace.enter()? {
         let message = "another version of fled began this run; its stages start again";
         sink.warn("upgraded", message.to_owned());
     }
     sink.event(&Event::Planned {
-        rounds: chosen.options.round_count(),
+        rounds: decision.options.round_count(),
         views: capture.views.len() as u32,
         shake: None,
         size: None,
     });
-    if let Some(detail) = &chosen.detail {
-        sink.event(&Event::DetailChosen { detail: detail.clone() });
-    }
+    decision.report(sink);
     sink.log(format!("adapter: {}", tools.device));
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 
-use super::config::{Options, Setting, ShakeModel, TrainOn};
+use super::config::{Options, ShakeModel, TrainOn};
 use super::context::Context;
 use super::dependencies::RunDependencies;
 use super::enhance::Brightening;
@@ -111,7 +111,7 @@ impl Shaken {
     /// Longest side of the working images, px.
     pub fn size(&self, options: &Options) -> u32 {
         let size = options.longest_side();
-        let chooses = self.is_strong && options.size == Setting::Auto;
+        let chooses = self.is_strong && options.size.is_open();
         if chooses && self.longest > STRONG_SIDE { size.min(STRONG_SIDE) } else { size }
     }
 }
@@ -198,6 +198,7 @@ fn is_strong(
 mod tests {
     use super::*;
     use crate::deblur::{DeblurError, RestorerInfo};
+    use crate::pipeline::config::Setting;
     use crate::shake::reference::shaken_image;
     use crate::shake::{ShakeKernel, Tap};
 
@@ -233,11 +234,11 @@ mod tests {
     fn only_a_size_left_open_shrinks_with_strong_shake() {
         let sizes = |is_strong| {
             let shaken = Shaken { is_strong, ..of(&[1.5]) };
-            [Setting::Given(280), Setting::Auto, Setting::Given(1120)]
+            [Setting::Given(280), Setting::Auto, Setting::Fitted(900), Setting::Given(1120)]
                 .map(|size| shaken.size(&Options { size, ..Options::default() }))
         };
-        assert_eq!(sizes(false), [280, 560, 1120]);
-        assert_eq!(sizes(true), [280, 420, 1120]);
+        assert_eq!(sizes(false), [280, 560, 900, 1120]);
+        assert_eq!(sizes(true), [280, 420, 420, 1120]);
         let small = Shaken { longest: 400, is_strong: true, ..of(&[1.5]) };
         assert_eq!(small.size(&Options::default()), 560, "its images stay as they are");
     }

@@ -11,9 +11,9 @@ use crate::camera::Camera;
 use crate::image::Image;
 
 /// Initial guess of the intersections per Gaussian: most splats touch a few tiles.
-const TILES_PER_SPLAT: usize = 4;
+pub const TILES_PER_SPLAT: usize = 4;
 /// Additional intersections, for small scenes of large splats.
-const SPARE_INTERSECTIONS: usize = 1 << 14;
+pub const SPARE_INTERSECTIONS: usize = 1 << 14;
 
 /// The forward half of splatting. The number of an image's intersections is known only after
 /// drawing; if they did not fit, the buffers grow and the image is drawn again.

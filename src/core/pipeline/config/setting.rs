@@ -8,6 +8,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 pub enum Setting {
     /// The pipeline chooses.
     Auto,
+    /// The pipeline's choice for this machine; a verdict on the capture may lower it.
+    Fitted(u32),
     /// The user's choice, or the preset's, which is obeyed.
     Given(u32),
 }
@@ -17,8 +19,13 @@ impl Setting {
     pub fn or(self, usual: u32) -> u32 {
         match self {
             Self::Auto => usual,
-            Self::Given(number) => number,
+            Self::Fitted(number) | Self::Given(number) => number,
         }
+    }
+
+    /// Whether the pipeline chooses.
+    pub fn is_open(self) -> bool {
+        !matches!(self, Self::Given(_))
     }
 }
 
@@ -26,7 +33,7 @@ impl Serialize for Setting {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Self::Auto => serializer.serialize_str("auto"),
-            Self::Given(number) => serializer.serialize_u32(*number),
+            Self::Fitted(number) | Self::Given(number) => serializer.serialize_u32(*number),
         }
     }
 }

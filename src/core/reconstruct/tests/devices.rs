@@ -76,3 +76,26 @@ fn shaken_renders_agree() {
     });
     assert!(psnr(&first, &second) > 60.0);
 }
+
+#[test]
+fn training_needs_as_much_device_memory_as_reckoned() {
+    // A device of its own: the other tests allocate on the common one.
+    let gpu = Gpu::new("auto").expect("an adapter");
+    let device = Device::Gpu(gpu.clone());
+    for (gaussians, size) in [(20_000, [320, 240]), (3_000, [640, 480])] {
+        let scene = truth(gaussians / 4, 8);
+        let views = views_of(&scene, &[-0.3, 0.0, 0.3], size);
+        let shake = Some(Response::srgb());
+        let config = TrainConfig { shake, sh_degree: 2, ..config(10, gaussians) };
+        let before = gpu.memory().now;
+        gpu.forget_peak();
+        trained_on(&device, &views, start(&views, &scene, &config), &config);
+        let measured = (gpu.memory().peak - before) as f64;
+        let pixels = (size[0] * size[1]) as u64;
+        let reckoned = device_bytes(gaussians as u64, 2, pixels, 3 * pixels) as f64;
+        let ratio = reckoned / measured;
+        let shown = format!("{gaussians} of {size:?}: {reckoned} reckoned, {measured} measured");
+        eprintln!("{shown}");
+        assert!((0.5..2.0).contains(&ratio), "{shown}");
+    }
+}
