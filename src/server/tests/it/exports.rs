@@ -122,7 +122,7 @@ fn an_impossible_export_is_refused_before_it_is_sent() {
     let path = format!("/v1/jobs/{job}/exports");
     let list = server.get(&path, &[]).expect(200).json();
     let exports = list["exports"].as_array().expect("a list");
-    assert_eq!(exports.len(), 1, "its scene is none: {exports:?}");
+    assert_eq!(exports.len(), 2, "its scene is none: {exports:?}");
     let scene = server.get(&format!("{path}/scene.compressed.ply"), &[]);
     let problem = scene.expect(409).json();
     assert_eq!(problem["code"], "no_export");
