@@ -13,8 +13,11 @@ const TAIL: usize = 64 << 10;
 /// After its exit its last messages arrive at once.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// Exit code of programs that start ffmpeg and do not find it. ffmpeg does not use it.
-pub const NOT_FOUND: i32 = 127;
+/// Whether a program that starts ffmpeg ended with this exit code because it did not find it, or
+/// found something that cannot be run. ffmpeg uses neither code.
+pub fn is_not_started(code: i32) -> bool {
+    matches!(code, 126 | 127)
+}
 
 /// The program, with options to ask nothing, to report only errors, and to exit on them. `first`
 /// are leading arguments, if it is a program that starts ffmpeg.

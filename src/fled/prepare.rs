@@ -316,14 +316,6 @@ fn follow(
             child.kill();
             return Err(Failure::new(ErrorKind::Cancelled, "cancelled"));
         }
-        if let Some((name, _)) = in_work.iter().find(|(_, begun)| begun.elapsed() > patience) {
-            child.kill();
-            let detail = format!("reading {name} did not finish within {} s", patience.as_secs());
-            return Err(Failure {
-                hint: SAVE_ANEW.to_owned(),
-                ..Failure::new(ErrorKind::BadInput, detail)
-            });
-        }
         match messages.recv_timeout(LOOK) {
             Ok(Message::Begins { name }) => in_work.push((name, Instant::now())),
             Ok(Message::Ended { name }) => {
@@ -338,12 +330,28 @@ fn follow(
                 show(&assessments, sink);
                 return Err(Failure { hint, ..Failure::new(kind, detail) });
             }
-            Err(RecvTimeoutError::Timeout) => {}
+            // Only when all that it wrote is read: this process may have been stopped meanwhile.
+            Err(RecvTimeoutError::Timeout) => {
+                let is_late = |(_, begun): &&(String, Instant)| begun.elapsed() > patience;
+                if let Some((name, _)) = in_work.iter().find(is_late) {
+                    child.kill();
+                    return Err(endless(name, patience));
+                }
+            }
             Err(RecvTimeoutError::Disconnected) => {
                 let names: Vec<String> = in_work.into_iter().map(|(name, _)| name).collect();
                 return Err(died(child.wait().map_err(internal)?, &names));
             }
         }
+    }
+}
+
+/// The failure for a photograph that takes longer than `patience`.
+fn endless(name: &str, patience: Duration) -> Failure {
+    let detail = format!("reading {name} did not finish within {} s", patience.as_secs());
+    Failure {
+        hint: "Remove it from the capture, or save it in another format.".to_owned(),
+        ..Failure::new(ErrorKind::BadInput, detail)
     }
 }
 

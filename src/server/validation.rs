@@ -37,7 +37,7 @@ fn assessments() -> Array {
 
 /// The schema of warnings, which the document has from the core.
 pub fn warnings() -> Array {
-    list("Warning", "Warnings.")
+    list("Warning", "Warnings about the whole capture.")
 }
 
 fn list(of: &str, description: &str) -> Array {
@@ -100,16 +100,24 @@ fn report(accepted: usize, images: Vec<Assessment>) -> CaptureReport {
     CaptureReport { accepted, images, warnings: Vec::new() }
 }
 
-/// Bytes that validating `dir` needs temporarily: those of an unpacked zip.
+/// Bytes that validating `dir` needs temporarily: those of an unpacked zip, or those of a small
+/// image for each file.
 ///
 /// # Errors
 /// [`Refusal`] if the zip cannot be unpacked.
-pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
+pub fn needed_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
+    const IMAGE_BYTES: u64 = 6 * (ASSESSED_SIDE * ASSESSED_SIDE) as u64;
     let archive = dir.join(ARCHIVE);
     if !archive.is_file() {
-        return Ok(0);
+        return Ok(IMAGE_BYTES * files_below(dir));
     }
     capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
+}
+
+/// The number of files in a folder and below it; what cannot be read has none.
+fn files_below(dir: &Path) -> u64 {
+    let entries = dir.read_dir().into_iter().flatten().flatten();
+    entries.map(|entry| if entry.path().is_dir() { files_below(&entry.path()) } else { 1 }).sum()
 }
 
 /// The pipeline's input of a stored capture: its zip, or its folder.

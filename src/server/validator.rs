@@ -38,6 +38,8 @@ pub enum AssessError {
     Refused(Box<Refusal>),
     /// There is too little space for its content.
     NoRoom,
+    /// The disk is full.
+    Full,
     /// No frames could be extracted from its video.
     Video(VideoFault),
     /// The process died.
@@ -161,6 +163,7 @@ impl Conversation<'_> {
             }
             AssessReply::NotFilmed(fault) => return Err(AssessError::Video(fault)),
             AssessReply::NoRoom => return Err(AssessError::NoRoom),
+            AssessReply::Full => return Err(AssessError::Full),
             AssessReply::Needs(bytes) => self.lend(bytes).await?,
             AssessReply::Begins(name) => self.begun.push((name, Instant::now())),
             AssessReply::Ended(name) => {

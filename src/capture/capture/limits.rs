@@ -3,7 +3,7 @@
 use std::io;
 use std::time::Duration;
 
-use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// Maximum time to read a photograph. The largest take seconds.
 pub const PHOTOGRAPH_TIME: Duration = Duration::from_secs(120);
@@ -21,13 +21,17 @@ pub fn reader_memory(side: usize) -> u64 {
     READER_MEMORY + 2 * PIXEL * (side * side) as u64
 }
 
-/// Limits the address space of this process and its children, in bytes, and disables core dumps.
+/// Limits the address space of this process and its children, in bytes, and disables core dumps. A
+/// lower limit that the system sets already stays.
 ///
 /// # Errors
 /// If the system refuses.
 pub fn limit_reader(memory: u64) -> io::Result<()> {
-    let to = |bytes| Rlimit { current: Some(bytes), maximum: Some(bytes) };
-    setrlimit(Resource::As, to(memory))?;
-    setrlimit(Resource::Core, to(0))?;
+    let at_most = |resource: Resource, bytes: u64| {
+        let bytes = getrlimit(resource).maximum.map_or(bytes, |maximum| bytes.min(maximum));
+        setrlimit(resource, Rlimit { current: Some(bytes), maximum: Some(bytes) })
+    };
+    at_most(Resource::As, memory)?;
+    at_most(Resource::Core, 0)?;
     Ok(())
 }

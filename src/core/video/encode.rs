@@ -8,7 +8,7 @@ use std::process::{ChildStdin, Stdio};
 use std::time::Duration;
 
 use crate::camera::Camera;
-use crate::ffmpeg::{NOT_FOUND, Words, command, last_line};
+use crate::ffmpeg::{Words, command, is_not_started, last_line};
 use crate::group::Group;
 use crate::image::Image;
 
@@ -175,7 +175,7 @@ impl Encoder {
         // It has closed its outputs, so it has ended or is about to.
         std::thread::sleep(Duration::from_millis(20));
         let is_missing =
-            matches!(self.child.try_wait(), Ok(Some(s)) if s.code() == Some(NOT_FOUND));
+            matches!(self.child.try_wait(), Ok(Some(s)) if s.code().is_some_and(is_not_started));
         // A process that accepts no more input has nothing left to do.
         self.child.kill();
         match is_missing {

@@ -116,7 +116,7 @@ pub struct Job {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = of_overlap)]
     pub overlap: Option<Overlap>,
-    /// Warnings.
+    /// Warnings about the whole capture.
     #[schema(schema_with = warnings)]
     pub warnings: Vec<CaptureWarning>,
     /// Delivered round of a finished job.

@@ -34,7 +34,8 @@ pub struct Filming {
     pub ffmpeg: PathBuf,
 }
 
-/// A reply of the process. The last one is `Accepted`, `Refused`, `NotFilmed` or `NoRoom`.
+/// A reply of the process. The last one is `Accepted`, `Refused`, `NotFilmed`, `NoRoom` or
+/// `Full`.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AssessReply {
@@ -44,6 +45,8 @@ pub enum AssessReply {
     NotFilmed(VideoFault),
     /// The unpacked content would exceed the available space.
     NoRoom,
+    /// The disk has no space left.
+    Full,
     /// Maximum bytes of concurrently decoded photographs. Waits for an answer.
     Needs(u64),
     /// Validation of this photograph begins. If the process dies, this photograph may be the cause.

@@ -29,7 +29,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
         }
     }
-    match validation::unpacked_bytes(&request.dir) {
+    match validation::needed_bytes(&request.dir) {
         Ok(bytes) if bytes > request.room => return say(&AssessReply::NoRoom),
         Ok(_) => {}
         Err(refusal) => return say(&AssessReply::Refused(*refusal)),
@@ -60,7 +60,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             };
             (report, last)
         }
-        Err(refusal) if refusal.is_full => return say(&AssessReply::NoRoom),
+        Err(refusal) if refusal.is_full => return say(&AssessReply::Full),
         Err(mut refusal) => {
             let accepted = refusal.report.accepted;
             let report = std::mem::take(&mut refusal.report);

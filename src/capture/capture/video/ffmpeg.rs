@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use super::error::VideoError;
 use crate::cancel::CancelToken;
-use crate::ffmpeg::{NOT_FOUND, Words, command, last_line};
+use crate::ffmpeg::{Words, command, is_not_started, last_line};
 use crate::group::Group;
 
 /// Maximum number of pixels of a decoded frame.
@@ -72,7 +72,7 @@ impl Ffmpeg<'_> {
         let status = outcome?;
         let said = words.all(self.video);
         match status {
-            Some(status) if status.code() == Some(NOT_FOUND) => {
+            Some(status) if status.code().is_some_and(is_not_started) => {
                 Err(self.missing(last_line(&said).to_owned()))
             }
             Some(status) if !status.success() => Err(VideoError::of_ffmpeg(&said)),

@@ -48,6 +48,7 @@ impl Upload {
         };
         let seen = seen.map_err(|error| match error {
             AssessError::NoRoom => no_room(),
+            AssessError::Full => disk_full(),
             AssessError::Video(fault) if fault.kind == VideoFaultKind::NoRoom => no_room(),
             AssessError::Video(fault) => not_filmed(&fault, name.as_deref().unwrap_or_default()),
             AssessError::Refused(refusal) => refused(*refusal),
