@@ -95,7 +95,7 @@ pub enum Event {
         /// Its description, for users.
         name: String,
     },
-    /// The matches of the networks do not connect all photographs.
+    /// Too few poses were found, and not all photographs clearly show the same things.
     OverlapFound(Overlap),
     /// Progress inside a stage.
     StageAdvanced {

@@ -44,7 +44,7 @@ both("too little overlap: the groups, with links between photographs that match"
   stand.visit("failed-apart", `#/jobs/${await failed("apart")}`, async (page) => {
     await seen(state(page), "failed");
     const map = part(page, "Photographs");
-    await seen(map, "These 4 and these 2 have nothing in common, and 2 photographs match no other. Take some in between.");
+    await seen(map, "These 4 and these 2 have too little in common, and 2 photographs match no other. Take some in between.");
     const small = map.locator(".overlap img");
     await until("the photographs are there", async () => (await small.count()) === 8 && loaded(small));
     const groups = await map.locator("figure").evaluateAll((all) =>

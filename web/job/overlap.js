@@ -52,7 +52,7 @@ function sentence(groups, alone) {
   const list = words.length > 1 ? `${words.slice(0, -1).join(", ")} and ${words.at(-1)}` : words[0];
   const others = alone.length > 0 ? `${count(alone.length, "photograph")} ${alone.length === 1 ? "matches" : "match"} no other` : "";
   if (groups.length === 1) return `Only ${list} match one another; ${others}. Take some in between.`;
-  const text = `${list} have nothing in common${others && `, and ${others}`}. Take some in between.`;
+  const text = `${list} have too little in common${others && `, and ${others}`}. Take some in between.`;
   return text[0].toUpperCase() + text.slice(1);
 }
 

@@ -8,7 +8,6 @@ use std::time::Instant;
 
 use super::candidate::{Candidate, Evidence};
 use super::copies::Copies;
-use super::groups;
 use super::options::{self, set};
 use super::search::Search;
 use super::strategies::Mapping;
@@ -49,18 +48,16 @@ enum Selection {
 impl Search<'_> {
     /// The best model from the matches of the networks. If one contradicts stronger matches than
     /// those it is built on, another is built from the strongest alone, and from what agrees with
-    /// it.
+    /// it. `broken` becomes the failure of the tool, if any.
     pub(super) fn best_learned(
         &self,
         matching: &dyn Matching,
         evidence: &mut Evidence<'_>,
+        broken: &mut Option<PosesError>,
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Option<Candidate>, PosesError> {
         let found = self.find(matching, evidence.small, sink, cancel)?;
-        if let Some(overlap) = groups::overlap(&found, self.request.views) {
-            sink.event(&Event::OverlapFound(overlap));
-        }
         evidence.found = Some(found.clone());
         if evidence.reach().is_some_and(|reach| self.is_short(reach)) {
             return Ok(None);
@@ -74,7 +71,7 @@ impl Search<'_> {
             };
             let selected = selection.of(&found);
             let built = self.build(&selected, letters, evidence, sink, cancel);
-            best = better(best, or_warning(built, sink)?);
+            best = better(best, or_warning(built, broken, sink)?);
             let Some(best) = &best else { continue };
             if best.believed() == total {
                 break;
@@ -92,7 +89,7 @@ impl Search<'_> {
             };
             let (believed, agreeing) = (now.believed(), consistency.agreeing(&found, &strongest));
             let built = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel);
-            best = better(best, or_warning(built, sink)?);
+            best = better(best, or_warning(built, broken, sink)?);
             if best.as_ref().is_none_or(|best| [believed, total].contains(&best.believed())) {
                 break;
             }
@@ -209,14 +206,17 @@ impl Selection {
     }
 }
 
-/// The built model; a failure of the tool becomes a warning, and another selection may do better.
+/// The built model; a failure of the tool becomes a warning and is put into `broken`, and another
+/// selection may do better.
 fn or_warning(
     built: Result<Option<Candidate>, PosesError>,
+    broken: &mut Option<PosesError>,
     sink: &mut dyn ProgressSink,
 ) -> Result<Option<Candidate>, PosesError> {
     match built {
         Err(error) if error.is_about_the_tool() => {
             sink.warn("colmap_failed", format!("learned matches: {error}"));
+            *broken = Some(error);
             Ok(None)
         }
         built => built,

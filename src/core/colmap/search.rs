@@ -14,9 +14,10 @@ use super::strategies::{
 };
 use crate::cancel::CancelToken;
 use crate::capture::MIN_VIEWS;
-use crate::event::ProgressSink;
+use crate::event::{Event, ProgressSink};
 use crate::poses::matching::Matching;
 use crate::poses::model::SparseModel;
+use crate::poses::overlap::Overlap;
 use crate::poses::{PoseRequest, PoseView, Poses, PosesError, in_words};
 
 /// Above this number matching all pairs takes too long: match neighbours in the capture's order.
@@ -53,10 +54,15 @@ impl<'a> Search<'a> {
     ) -> Result<Poses, PosesError> {
         let small = self.small_copies(sink, cancel)?;
         let mut evidence = Evidence { small: &small, found: None };
-        match self.best(&mut evidence, sink, cancel)? {
+        let outcome = match self.best(&mut evidence, sink, cancel)? {
             Some(best) => self.deliver(&best, &evidence),
             None => Err(self.too_few(0, &evidence)),
+        };
+        if let (Err(PosesError::TooFew { .. }), Some(overlap)) = (&outcome, self.overlap(&evidence))
+        {
+            sink.event(&Event::OverlapFound(overlap));
         }
+        outcome
     }
 
     /// The copies used by the learned strategies and most of COLMAP's own.
@@ -84,7 +90,7 @@ impl<'a> Search<'a> {
         let mut broken = None;
         if let Some(matching) = self.matching {
             begin(sink, FIRST_LEARNED, LEARNED);
-            match self.best_learned(matching, evidence, sink, cancel) {
+            match self.best_learned(matching, evidence, &mut broken, sink, cancel) {
                 Ok(candidate) => best = candidate,
                 Err(error) if error.is_about_the_tool() => {
                     sink.warn("matcher_failed", format!("learned matches: {error}"));
@@ -96,6 +102,8 @@ impl<'a> Search<'a> {
         let reach = evidence.reach();
         let clear = evidence.clear_reach().filter(|&clear| self.is_short(clear));
         let believed = best.as_ref().map_or(0, Candidate::believed);
+        // Of a broken tool the first strategies tell more than the matches do.
+        let clear = clear.filter(|_| broken.is_none());
         if let Some(clear) = clear.filter(|_| self.is_short(believed)) {
             // COLMAP's own features connect fewer photographs than those of the networks.
             sink.log(format!(
@@ -416,11 +424,15 @@ impl<'a> Search<'a> {
         parts.iter().map(|part| part.iter().map(of).collect()).collect()
     }
 
+    /// Which photographs clearly show the same things, if not all do.
+    fn overlap(&self, evidence: &Evidence<'_>) -> Option<Overlap> {
+        groups::overlap(evidence.found.as_ref()?, self.request.views)
+    }
+
     fn too_few(&self, registered: usize, evidence: &Evidence<'_>) -> PosesError {
         let parts = self.parts(evidence, |view| view.path.to_string());
         let total = self.request.views.len();
-        let found = evidence.found.as_ref();
-        let overlap = found.and_then(|found| groups::overlap(found, self.request.views));
+        let overlap = self.overlap(evidence);
         let advice = if !parts.is_empty() {
             format!(
                 "they show {}: make a capture of each, or add photographs that connect them",

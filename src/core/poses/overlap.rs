@@ -3,11 +3,12 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Groups of photographs that the matches of the networks connect. Photographs are called by the
-/// names of their views.
+/// Groups of photographs that clearly show the same things, by the matches of the networks.
+/// Photographs are called by the names of their views.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Overlap {
-    /// Every photograph, by group: the largest group first, those that match no other last.
+    /// Every photograph, by group: the largest group first, those that clearly match no other
+    /// last.
     pub groups: Vec<Vec<String>>,
     /// The strongest pairs: those that connect each group, and the strongest between groups.
     pub links: Vec<OverlapLink>,
@@ -22,12 +23,12 @@ pub struct OverlapLink {
     pub second: String,
     /// The number of matches.
     pub matches: usize,
-    /// Whether these are enough: fewer occur between photographs of different places.
+    /// Whether these are clearly enough: fewer occur between photographs of different places.
     pub connects: bool,
 }
 
 impl Overlap {
-    /// The number of photographs that match another one.
+    /// The number of photographs that clearly match another one.
     pub fn matched(&self) -> usize {
         self.groups.iter().map(Vec::len).filter(|&size| size > 1).sum()
     }

@@ -56,7 +56,7 @@ pub struct StreamEvent {
 ///
 /// Their types are `state`, `planned`, `detail_chosen` (what `detail=auto` became),
 /// `stage_started`, `strategy_started` (the search for poses tries another way), `overlap_found`
-/// (matches do not connect all photographs), `stage_finished`,
+/// (too few poses, and not all photographs clearly show the same things), `stage_finished`,
 /// `progress`, `training_seen`, `held_out_seen`, `view_seen`, `round_finished` and `warning`. The
 /// stream ends with the job; 204 means that no more events will come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",

@@ -223,15 +223,11 @@ fn no_strategy_is_tried_where_matches_connect_too_few_photographs_for_a_scene() 
         let matching = Neighbours { contradicting: Vec::new(), last_of_a_place: Some(1) };
         let tool = scene.tool().with_matching(Arc::new(matching));
         let found = scene.run(&tool, &mut sink, &CancelToken::new());
-        let overlap = overlap.expect("two groups");
-        let names = |views: &[usize]| views.iter().map(|view| format!("view{view}")).collect();
-        let rest: Vec<usize> = (2..count).collect();
-        let mut groups: [Vec<String>; 2] = [names(&[0, 1]), names(&rest)];
-        groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
-        assert_eq!(overlap.groups, groups);
-        (found, tried, scene.log())
+        (found, overlap, tried, scene.log())
     };
-    let (found, tried, log) = apart(4);
+    let (found, overlap, tried, log) = apart(4);
+    let names = |views: [usize; 2]| views.map(|view| format!("view{view}")).to_vec();
+    assert_eq!(overlap.expect("two groups").groups, [names([0, 1]), names([2, 3])]);
     let Err(PosesError::TooFew { registered: 0, total: 4, advice }) = found else {
         panic!("{found:?}");
     };
@@ -239,10 +235,49 @@ fn no_strategy_is_tried_where_matches_connect_too_few_photographs_for_a_scene() 
     assert_eq!(tried, ['L']);
     assert!(!log.contains("mapper"), "no model can have three photographs: {log}");
     // One more makes a scene of three of five, which other strategies can only make more exact.
-    let (found, tried, _) = apart(5);
+    let (found, overlap, tried, _) = apart(5);
     let poses = found.unwrap();
+    assert_eq!(overlap, None, "nothing failed");
     assert_eq!((poses.registered, poses.low_confidence), (3, true));
     assert_eq!(tried, ['L', 'A']);
+}
+
+/// Neighbours of whom every second pair has ten times the matches, like two of another place.
+struct Rooms(Neighbours);
+
+impl Matching for Rooms {
+    fn matches(
+        &self,
+        pictures: &[PathBuf],
+        pairs: Pairs,
+        keeping: Option<Keeping<'_>>,
+        advance: &mut dyn FnMut(u64, u64),
+        cancel: &CancelToken,
+    ) -> Result<Correspondences, PosesError> {
+        let mut found = self.0.matches(pictures, pairs, keeping, advance, cancel)?;
+        for pair in found.pairs.iter_mut().step_by(2) {
+            pair.matches = pair.matches.repeat(10);
+        }
+        Ok(found)
+    }
+
+    fn describe(&self) -> String {
+        self.0.describe()
+    }
+}
+
+#[test]
+fn a_broken_tool_is_not_taken_for_photographs_of_different_places() {
+    let found = |script: &str| {
+        let scene = Scene::new(10, script);
+        let tool = scene.tool().with_matching(Arc::new(Rooms(in_order())));
+        scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap_err()
+    };
+    let error = found("[ $command = mapper ] && kill -SEGV $$; exit 0");
+    assert!(matches!(&error, PosesError::Tool { .. }), "{error}");
+    let error = found("exit 0");
+    let PosesError::TooFew { advice, .. } = error else { panic!("{error}") };
+    assert!(advice.contains("groups of 2, 2, 2, 2 and 2"), "{advice}");
 }
 
 /// The stub's cameras in a rotated world of twice the size, with those of `off` misplaced.
