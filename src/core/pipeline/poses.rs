@@ -4,7 +4,7 @@
 mod deblurred;
 mod request;
 
-use std::fs::File;
+use std::fs::{DirEntry, File};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -31,8 +31,10 @@ pub const CACHED: &str = "poses";
 /// Extension of the files of matches in the same folder.
 const MATCHES: &str = "matches";
 
-/// Number of these files that are read, each of up to some megabytes.
+/// Number of these files that are read, each of up to some megabytes for 60 photographs.
 const MOST_FILES: usize = 16;
+/// Bytes of these files that are read, in all: they are held in memory while pairs are matched.
+const MOST_BYTES: u64 = 128 << 20;
 
 /// The stage: the poses, once, and what the user should know about them.
 ///
@@ -77,7 +79,8 @@ pub fn poses(
             Ok(poses)
         },
     )?;
-    cache.write(context.workspace, &poses)?;
+    let kept = cache.write(context.workspace, &poses);
+    or_logged(kept, "the poses", context.sink);
     let called = |view: &CaptureView| (view.name.clone(), view.path.clone());
     let photographs = capture.views.iter().map(called).collect();
     let poses = Poses { photographs, ..poses };
@@ -141,17 +144,27 @@ impl Cache<'_> {
 }
 
 impl Cache<'_> {
-    /// The files of matches that searches kept, the newest first.
-    fn matches(&self) -> Vec<PathBuf> {
+    /// The files of matches that searches kept, the newest first, as far as they fit in memory.
+    fn matches(&self, most_bytes: u64) -> Vec<PathBuf> {
         let entries = self.folder.iter().filter_map(|folder| std::fs::read_dir(folder).ok());
-        let mut files: Vec<(SystemTime, PathBuf)> = entries
+        let known = |entry: DirEntry| {
+            let about = entry.metadata().ok()?;
+            Some((about.modified().ok()?, entry.path(), about.len()))
+        };
+        let mut files: Vec<(SystemTime, PathBuf, u64)> = entries
             .flatten()
             .flatten()
             .filter(|entry| entry.path().extension().is_some_and(|end| end == MATCHES))
-            .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+            .filter_map(known)
             .collect();
         files.sort_by(|one, other| other.cmp(one));
-        files.into_iter().take(MOST_FILES).map(|(_, path)| path).collect()
+        let mut left = most_bytes;
+        files.retain(|(.., bytes)| {
+            let rest = left.checked_sub(*bytes);
+            left = rest.unwrap_or(left);
+            rest.is_some()
+        });
+        files.into_iter().take(MOST_FILES).map(|(_, path, _)| path).collect()
     }
 
     /// Keeps the matches of a search, of whatever outcome, for captures that share photographs.
@@ -165,6 +178,13 @@ impl Cache<'_> {
             Err(error) => Err(PipelineError::io(kept, error)),
             Ok(bytes) => workspace.write(&file.with_extension(MATCHES), &bytes),
         }
+    }
+}
+
+/// Logs that `what` could not be cached: without the cache, a later run only takes longer.
+fn or_logged(kept: Result<(), PipelineError>, what: &str, sink: &mut dyn ProgressSink) {
+    if let Err(error) = kept {
+        sink.log(format!("poses: {what} are not kept for later runs: {error}"));
     }
 }
 
@@ -250,9 +270,10 @@ fn find(
     let options = depends_on.first.options();
     let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
     let work = context.workspace.folder().work();
-    let earlier = cache.matches();
+    let earlier = cache.matches(MOST_BYTES);
     let first = ask(context, tools, &views, &work.poses(), &earlier, options.seed);
-    cache.keep_matches(context.workspace, &work.poses().join(KEPT_MATCHES))?;
+    let kept = cache.keep_matches(context.workspace, &work.poses().join(KEPT_MATCHES));
+    or_logged(kept, "the matches", context.sink);
     let given = capture.poses.is_some() && options.pose_source != PoseSource::Colmap;
     let is_weak = match &first {
         Ok(poses) => poses.low_confidence,

@@ -242,9 +242,11 @@ fn the_newest_matches_of_earlier_searches_are_found() {
     }
     let depends_on = of(0);
     let cache = Cache { folder: Some(folder), depends_on: &depends_on };
-    assert_eq!(cache.matches(), expected[..MOST_FILES]);
+    assert_eq!(cache.matches(MOST_BYTES), expected[..MOST_FILES]);
+    let bytes = std::fs::metadata(&expected[0]).expect("there").len();
+    assert_eq!(cache.matches(2 * bytes), expected[..2], "as many as fit in memory");
     let none = Cache { folder: None, depends_on: &depends_on };
-    assert!(none.matches().is_empty());
+    assert!(none.matches(MOST_BYTES).is_empty());
 }
 
 #[test]
