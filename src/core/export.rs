@@ -169,7 +169,15 @@ impl Export {
             }
             Self::Linear if round.is_some() => return Err(ExportError::OnlyDelivered(self.name())),
             Self::Restored => Content::Pictures(pictures(run, round)?),
-            Self::Linear => Content::Linear(cameras::views(run, None)?),
+            Self::Linear => {
+                let views = cameras::views(run, None)?;
+                for (_, picture) in &views {
+                    if !picture.has_16_bits()? {
+                        return Err(ExportError::EightBits(self.name()));
+                    }
+                }
+                Content::Linear(views)
+            }
             Self::Colmap => {
                 let views = cameras::views(run, round)?;
                 let gaussians = ply::read_extent(&path)?.gaussians;

@@ -80,7 +80,10 @@ fn is_of_run(path: &Path, run: &RunFolder) -> bool {
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
         let missing = error.is_missing();
-        if matches!(error, ExportError::NotTrimmed(_) | ExportError::OnlyDelivered(_)) {
+        if matches!(
+            error,
+            ExportError::NotTrimmed(_) | ExportError::OnlyDelivered(_) | ExportError::EightBits(_)
+        ) {
             return Self::usage(error);
         }
         let kind = match error {

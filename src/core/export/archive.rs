@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::PathBuf;
 
+use image::{ImageDecoder as _, ImageReader};
 use zip::ZipWriter;
 use zip::write::{SimpleFileOptions, StreamWriter};
 
@@ -20,6 +21,17 @@ pub(super) struct Picture {
     /// Without folders.
     pub(super) file_name: String,
     pub(super) bytes: u64,
+}
+
+impl Picture {
+    /// Whether its values have 16 bits.
+    pub(super) fn has_16_bits(&self) -> Result<bool, ExportError> {
+        let reader = ImageReader::open(&self.path).map_err(ExportError::io(&self.path))?;
+        let decoder = reader.into_decoder();
+        let decoder = decoder.map_err(io::Error::other).map_err(ExportError::io(&self.path))?;
+        let colour = decoder.original_color_type();
+        Ok(colour.bits_per_pixel() == 16 * u16::from(colour.channel_count()))
+    }
 }
 
 /// A zip whose entries are compressed while streaming.

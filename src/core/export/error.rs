@@ -47,6 +47,12 @@ pub enum ExportError {
          the round out, or use `fled render --round N --linear`"
     )]
     OnlyDelivered(&'static str),
+    /// An earlier version wrote the restored views.
+    #[error(
+        "{0} needs restored views of 16 bits, and those of this result have 8: use `fled render \
+         --linear`, or run the capture again"
+    )]
+    EightBits(&'static str),
     /// A crop leaves nothing.
     #[error("no Gaussian's centre is inside the crop; the middle of the scene is at {0}")]
     NothingLeft(Middle),

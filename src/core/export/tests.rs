@@ -40,9 +40,11 @@ fn result() -> (TempDir, RunFolder) {
     };
     for name in &names[..3] {
         let picture: Image = Image::new(8, 6).map(|_| 0.5);
-        for path in [run.restored_view(name), run.round(1).picture(RoundPictures::Renders, name)] {
+        let render = run.round(1).picture(RoundPictures::Renders, name);
+        let formats = [EncodeFormat::Png16, EncodeFormat::of(&render)];
+        for (path, format) in [run.restored_view(name), render].into_iter().zip(formats) {
             fs::create_dir_all(path.parent().expect("a folder")).expect("made");
-            picture.save(&path).expect("saved");
+            picture.save_as(&path, format).expect("saved");
         }
     }
     fs::write(run.restored().join(".half.png"), "unfinished").expect("written");
@@ -107,6 +109,9 @@ fn the_linear_zip_has_the_light_of_the_restored_views() {
     let (light, wanted) = (graded.get(3, 2)[1], dark.to_linear().get(3, 2)[1]);
     // A step of 8 bits at this level is 3e-4.
     assert!((light - wanted).abs() < 2e-5, "{light} {wanted}");
+    dark.save(&run.restored_view("b b")).expect("saved");
+    let error = Export::Linear.prepare(&run, None, Trim::default()).expect_err("8 bits");
+    assert!(error.to_string().contains("those of this result have 8"), "{error}");
     let error = Export::Linear.prepare(&run, Some(1), Trim::default()).expect_err("8 bits");
     assert!(error.is_of_wish() && error.to_string().contains("--round N --linear"), "{error}");
 }

@@ -12,7 +12,7 @@ use fled_core::camera::normalisation::Normalisation;
 use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
 use fled_core::event::{Event, Stage};
 use fled_core::gaussians::{Gaussians, ply};
-use fled_core::image::Image;
+use fled_core::image::{EncodeFormat, Image};
 use fled_core::metrics::{ChosenDetail, DetailLevel};
 use fled_core::pipeline::config::{Detail, Options};
 use fled_core::poses::overlap::{Overlap, OverlapLink};
@@ -302,8 +302,10 @@ impl Job {
                 let less = if kind == RoundPictures::Enhanced { 0.1 } else { 0.0 };
                 self.picture(&path, name, gain - less)?;
             }
-            let restored = RunFolder::new(&self.output).restored_view(name);
-            self.picture(&restored, name, gain)?;
+            let folder = RunFolder::new(&self.output);
+            fs::create_dir_all(folder.restored())?;
+            self.photograph(name, gain)?
+                .save_as(&folder.restored_view(name), EncodeFormat::Png16)?;
         }
         let cameras = self.output.join("cameras.json");
         let of_round = self.output.join(format!("rounds/{round}/cameras.json"));
@@ -344,13 +346,18 @@ impl Job {
     /// Writes a photograph of the capture with a gain.
     fn picture(&self, path: &Path, name: &str, gain: f32) -> Outcome {
         fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
+        self.photograph(name, gain)?.save(path)?;
+        Ok(())
+    }
+
+    /// A photograph of the capture with a gain.
+    fn photograph(&self, name: &str, gain: f32) -> Result<Image, Box<dyn Error>> {
         let source = fs::read_dir(self.capture.join("images"))?
             .flatten()
             .find(|entry| entry.path().file_stem().is_some_and(|stem| stem == name))
             .ok_or("no photograph")?;
         let image: Image = Image::load_at_most(&source.path(), 280)?;
-        image.map(|v| (v * gain).min(1.0)).save(path)?;
-        Ok(())
+        Ok(image.map(|v| (v * gain).min(1.0)))
     }
 }
 

@@ -235,6 +235,9 @@ fn refused(error: &ExportError) -> Problem {
         return Problem::conflict("no_export", detail)
             .hint("Run the capture in a new job. `artifacts` lists the available files.");
     }
+    if matches!(error, ExportError::EightBits(_)) {
+        return Problem::conflict("no_export", format!("{error}."));
+    }
     if error.is_of_wish() {
         return Problem::unprocessable("bad_input", format!("{error}."));
     }
