@@ -106,42 +106,40 @@ impl Sender<'_> {
     fn all(&mut self, files: &[(String, PathBuf, u64)]) -> Result<Vec<String>, Failure> {
         let remote = self.remote;
         let mut offsets = Vec::with_capacity(files.len());
-        for (name, _, bytes) in files {
-            offsets.push(remote.persist(|| self.find(name, *bytes))?);
+        for (at, (name, _, bytes)) in files.iter().enumerate() {
+            offsets.push(remote.persist(|| self.find(at, name, *bytes))?);
         }
-        self.begun.keep();
         let there: u64 = offsets.iter().sum();
         if there > 0 {
             eprintln!("continuing an interrupted submission: {there} bytes of it are there");
         }
-        let sent = files.iter().zip(offsets);
-        sent.map(|((name, path, bytes), offset)| self.file(name, path, *bytes, offset)).collect()
+        let sent = files.iter().zip(offsets).enumerate();
+        sent.map(|(at, (file, offset))| self.file(at, file, offset)).collect()
     }
 
-    /// Begins the upload of a file, unless an earlier command has; returns the bytes that have
+    /// Begins the upload of the file at a place, unless an earlier command has; returns the bytes that have
     /// arrived.
-    fn find(&mut self, name: &str, bytes: u64) -> Result<u64, Fault> {
-        if let Some(id) = self.begun.of(name).map(str::to_owned)
+    fn find(&mut self, at: usize, name: &str, bytes: u64) -> Result<u64, Fault> {
+        if let Some(id) = self.begun.of(at).map(str::to_owned)
             && let Some(offset) = self.reached(&id)?
         {
             return Ok(offset);
         }
-        self.begin(name, bytes).map(|_| 0)
+        self.begin(at, name, bytes).map(|_| 0)
     }
 
-    /// Sends a file of this size from `offset` on and returns the id of its upload.
+    /// Sends the file at a place from `offset` on and returns the id of its upload.
     fn file(
         &mut self,
-        name: &str,
-        path: &Path,
-        bytes: u64,
+        at: usize,
+        (name, path, bytes): &(String, PathBuf, u64),
         mut offset: u64,
     ) -> Result<String, Failure> {
-        let remote = self.remote;
+        let (remote, bytes) = (self.remote, *bytes);
         let before = self.bar.position();
-        let mut id = match self.begun.of(name) {
+        let mut id = match self.begun.of(at) {
             Some(id) => id.to_owned(),
-            None => remote.persist(|| self.begin(name, bytes))?,
+            None => remote.persist(|| self.begin(at, name, bytes))?,
         };
         self.bar.set_position(before + offset);
         while offset < bytes {
@@ -164,18 +162,15 @@ impl Sender<'_> {
             match reached {
                 Some(reached) => offset = reached,
                 // It expired while the service did not respond.
-                None => {
-                    (id, offset) = (remote.persist(|| self.begin(name, bytes))?, 0);
-                    self.begun.keep();
-                }
+                None => (id, offset) = (remote.persist(|| self.begin(at, name, bytes))?, 0),
             }
             self.bar.set_position(before + offset);
         }
         Ok(id)
     }
 
-    /// Starts the upload of a file and returns its id.
-    fn begin(&mut self, name: &str, bytes: u64) -> Result<String, Fault> {
+    /// Starts the upload of the file at a place and returns its id.
+    fn begin(&mut self, at: usize, name: &str, bytes: u64) -> Result<String, Fault> {
         let request = Request::post(self.remote.url(UPLOADS))
             .header("upload-length", bytes)
             .header("upload-metadata", format!("filename {}", STANDARD.encode(name)));
@@ -183,7 +178,7 @@ impl Sender<'_> {
         let address = answer.headers().get(header::LOCATION).and_then(|value| value.to_str().ok());
         let id = address.and_then(|address| address.rsplit('/').next());
         let id = id.ok_or_else(|| no_service("its answer has no `Location`"))?.to_owned();
-        self.begun.set(name, id.clone());
+        self.begun.set(at, id.clone());
         Ok(id)
     }
 
