@@ -152,9 +152,20 @@ test("a proxy that refuses the smallest pieces is named", () =>
     assert.equal(refused.at(-1), 512 << 10);
   }));
 
-test("the sample opens at once where a job of it has finished", async () => {
-  const id = await stand.job("ok", "Sample: a dark room");
-  await stand.server.reached(id, "succeeded");
+test("the sample opens at once where a job of it with these options has finished", async () => {
+  const { base } = stand.server;
+  const { capture_id } = await stand.server.job(await stand.finished());
+  const finished = async (options) => {
+    const body = { capture_id, name: "Sample: a dark room", preset: "preview", options: { adapter: "ok", ...options } };
+    const headers = { "Content-Type": "application/json" };
+    const reply = await fetch(`${base}/v1/jobs`, { method: "POST", headers, body: JSON.stringify(body) });
+    const { id } = await reply.json();
+    await stand.server.reached(id, "succeeded");
+    return id;
+  };
+  const id = await finished({});
+  // A newer one that took less time.
+  await finished({ steps: 40 });
   await stand.visit("sample-ready", "", async (page) => {
     const made = [];
     page.on("request", (request) => { if (request.method() === "POST") made.push(request.url()); });

@@ -33,9 +33,10 @@ const load = () => (schema ??= api("v1/options").catch((error) => { schema = nul
 let forms = 0;
 
 /**
- * Preset and options: `{ preset, root, chosen(), check(), fault(error), fill(preset, options) }`.
- * `chosen` has only what differs from the preset; `check` shows the error of each field and returns
- * whether there is none; `fault` shows a refusal at its field and returns whether it could.
+ * Preset and options: `{ preset, root, chosen(), check(), fault(error), fill(preset, options),
+ * asFor(job) }`. `chosen` has only what differs from the preset; `check` shows the error of each
+ * field and returns whether there is none; `fault` shows a refusal at its field and returns whether
+ * it could; `asFor` returns whether a job has the chosen preset and options.
  */
 export function optionsForm() {
   const id = `o${++forms}`;
@@ -119,12 +120,20 @@ export function optionsForm() {
     return wrong.length === 0;
   }
 
+  const chosen = () => ({ ...unasked, ...Object.fromEntries(fields.filter((one) => one.differs()).map((one) => [one.key, one.value()])) });
+
   return {
     preset,
     root,
     fault,
     check,
-    chosen: () => ({ ...unasked, ...Object.fromEntries(fields.filter((one) => one.differs()).map((one) => [one.key, one.value()])) }),
+    chosen,
+    asFor(job) {
+      if (!presets || job.preset !== preset.value) return false;
+      const all = { ...presets[preset.value], ...chosen() };
+      // The adapter only says where it ran.
+      return Object.entries(all).every(([key, value]) => key === "adapter" || job.options[key] === value);
+    },
     async fill(name, options) {
       preset.value = name;
       wanted = options;

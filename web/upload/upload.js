@@ -88,9 +88,8 @@ export function startForm() {
   async function sample() {
     problem.textContent = "";
     if (!options.check()) return;
-    const isSame = ({ name, preset }) => name === SAMPLE && preset === options.preset.value;
-    const ready = finished.find(isSame);
-    if (ready && Object.keys(options.chosen()).length === 0) {
+    const ready = finished.find((job) => job.name === SAMPLE && options.asFor(job));
+    if (ready) {
       location.hash = `#/jobs/${ready.id}`;
       return;
     }
