@@ -224,9 +224,11 @@ impl Store {
             return Ok(None);
         };
         let overlap: Option<String> = row.try_get("overlap")?;
-        let overlap = overlap.map(|text| serde_json::from_str(&text)).transpose();
-        let overlap = overlap
-            .map_err(|error| ServerError::Damaged { what: "overlap", detail: error.to_string() })?;
+        // Only shown: a job of which it cannot be read is still read.
+        let overlap = overlap.and_then(|text| {
+            let read = serde_json::from_str(&text);
+            read.inspect_err(|error| tracing::warn!(job = id, %error, "unreadable overlap")).ok()
+        });
         Ok(Some(JobDetails { overlap, ..details }))
     }
 
