@@ -5,7 +5,7 @@ import { h } from "../lib/dom.js";
 /** The server reads all three kinds; the browser shows the first. */
 const SHOWN = /\.(jpe?g|jfif|mpo|png|webp)$/i;
 const READ = /\.(tiff?|heic|heif|hif|zip|mp4|mov|m4v)$/i;
-/** Raw files, as src/core/image/signature.rs lists them. */
+/** Raw files, as src/capture/image/signature.rs lists them. */
 const RAW = /\.(3fr|arw|cr[23w]|dcr|dng|erf|fff|gpr|iiq|kdc|mef|mos|mrw|n[er][fw]|orf|pef|raf|rw[2l]|sr[2fw]|x3f)$/i;
 /** Shortest acceptable longest side of a photograph, px. */
 const LEAST = 64;

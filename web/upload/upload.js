@@ -39,7 +39,7 @@ export function startForm() {
     h("p", { class: "hint" }, "fled uses the 40 sharpest frames of a video. A folder may contain ground truth in gt/."));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
-      problem.textContent = chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
+      add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
       // The list below holds the files now; a file removed there can be chosen again.
       input.value = "";
     });
@@ -48,15 +48,20 @@ export function startForm() {
   const before = earlier();
   drop.append(before.root, left);
   let [run, gone, isCancelled] = [null, false, false];
-  const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
+  const leaveDrops = takeDrops(drop, add);
+
+  function add(files) {
+    problem.textContent = chosen.add(files) || before.fault(chosen.files());
+  }
 
   async function submit(event) {
     event.preventDefault();
     problem.textContent = "";
     const isEmpty = chosen.files().length === 0;
     if (isEmpty) problem.textContent = "Choose photographs, a ZIP file, a video or a folder first.";
+    else problem.textContent = before.fault(chosen.files());
     // All errors are shown at once.
-    if (!options.check() || isEmpty) return;
+    if (!options.check() || problem.textContent) return;
     button.disabled = true;
     isCancelled = false;
     // These may be the uploads that are being sent.

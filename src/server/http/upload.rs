@@ -340,7 +340,7 @@ impl Receiver<'_> {
 
     fn count(&mut self, bytes: usize) -> Result<(), Problem> {
         self.ahead.taken(bytes);
-        self.budget.count(bytes)
+        self.budget.count(bytes as u64)
     }
 }
 

@@ -24,7 +24,7 @@ pub struct CaptureOfUploads {
     #[schema(min_items = 1)]
     uploads: Vec<String>,
     /// ID of a capture whose photographs are used, too; it stays as it is. Its poses, masks and
-    /// ground truth are not used.
+    /// ground truth are not used. A ZIP file or a video cannot be added.
     add_to: Option<String>,
     /// Name of the capture.
     #[schema(max_length = 200)]
@@ -60,7 +60,7 @@ pub struct JobOfUploads {
     #[schema(min_items = 1)]
     uploads: Vec<String>,
     /// ID of a capture whose photographs are used, too; it stays as it is. Its poses, masks and
-    /// ground truth are not used.
+    /// ground truth are not used. A ZIP file or a video cannot be added.
     add_to: Option<String>,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
@@ -83,18 +83,20 @@ pub struct JobOfUploads {
 impl JobOfUploads {
     /// Identifies the request without the files, because the uploads may already be used up.
     fn fingerprint(&self, priority: Priority) -> String {
+        let uploads = self.uploads.join("\n");
         let options = priority.beside(&self.options);
         let frames = self.frames.map(|frames| frames.to_string());
         let frames = frames.unwrap_or_default();
-        let parts = [
+        let mut parts = vec![
             "uploads",
-            &self.uploads.join("\n"),
+            &uploads,
             self.preset.as_deref().unwrap_or_default(),
             &options,
             self.name.as_deref().unwrap_or_default(),
             &frames,
-            self.add_to.as_deref().unwrap_or_default(),
         ];
+        // Only if given: keys stored before it existed must still match.
+        parts.extend(self.add_to.as_deref());
         blake3::hash(parts.join("\n\n").as_bytes()).to_hex().to_string()
     }
 }
@@ -168,4 +170,24 @@ async fn store(
     let room = visitor.room(app.limits.queue);
     let creation = app.store.create_job_of(used, &job, request, room).await?;
     creation.ok_or_else(|| Problem::not_found("upload").pointer("/uploads"))
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    #[test]
+    fn a_request_that_adds_to_no_capture_keeps_the_fingerprint_that_it_always_had() {
+        let of = |body: Value| {
+            let body: JobOfUploads = serde_json::from_value(body).expect("a request");
+            body.fingerprint(Priority::default())
+        };
+        let plain = of(json!({ "uploads": ["a", "b"] }));
+        let added = |id: &str| of(json!({ "uploads": ["a", "b"], "add_to": id }));
+        let text = "uploads\n\na\nb\n\n\n\n{}\n\n\n\n";
+        assert_eq!(plain, blake3::hash(text.as_bytes()).to_hex().to_string());
+        assert_ne!(added("c"), added("d"));
+    }
 }

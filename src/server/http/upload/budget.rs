@@ -27,8 +27,8 @@ impl<'a> Budget<'a> {
     ///
     /// # Errors
     /// 413 if they exceed the upload limit, 507 if they exceed the quota or the disk.
-    pub fn count(&mut self, bytes: usize) -> Result<(), Problem> {
-        self.bytes += bytes as u64;
+    pub fn count(&mut self, bytes: u64) -> Result<(), Problem> {
+        self.bytes = self.bytes.saturating_add(bytes);
         self.expect(0)?;
         if self.bytes - self.looked > LOOK_AT_DISK {
             self.looked = self.bytes;

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use fled_core::capture::write_unpacked;
 
+use super::budget::Budget;
 use super::gather::link;
 use super::places::{PHOTOGRAPHS, Places};
 use crate::app::App;
@@ -40,8 +41,18 @@ impl Earlier {
         Ok(Self { folder: app.data.capture(&row.id), names })
     }
 
-    /// Puts them into `dir`, at free places.
-    pub fn link_into(&self, app: &App, dir: &Path, places: &mut Places) -> Result<(), Problem> {
+    /// Puts them into `dir`, at free places, and counts their bytes.
+    ///
+    /// # Errors
+    /// 404 if one is gone; those of [`Budget::count`]; 507 if the disk is full.
+    pub fn link_into(
+        &self,
+        dir: &Path,
+        places: &mut Places,
+        budget: &mut Budget<'_>,
+    ) -> Result<(), Problem> {
+        let app = budget.app;
+        let mut count = |bytes| budget.count(bytes).map_err(|problem| problem.pointer("/add_to"));
         let stored = source(self.folder.clone());
         for name in &self.names {
             let from = data::photograph(&self.folder, name)
@@ -49,26 +60,33 @@ impl Earlier {
             let to = dir.join(places.place(PHOTOGRAPHS, name)?);
             if stored == self.folder {
                 let from = self.folder.join(from);
+                let bytes = fs::metadata(&from).map_err(ServerError::io(&from))?.len();
+                count(bytes)?;
                 if link(&from, &to).is_err() {
                     // The file system has no hard links.
+                    if app.has_no_space_for(bytes) {
+                        return Err(disk_full());
+                    }
                     fs::copy(&from, &to).map_err(|error| failed(app, &to, error))?;
                 }
                 continue;
             }
-            unpack(&stored, &from, &to).map_err(|error| failed(app, &to, error))?;
+            let bytes = unpack(&stored, &from, &to).map_err(|error| failed(app, &to, error))?;
+            count(bytes)?;
         }
         Ok(())
     }
 }
 
-/// Unpacks one file of a ZIP.
-fn unpack(archive: &Path, file: &Path, to: &Path) -> io::Result<()> {
+/// Unpacks one file of a ZIP and returns its bytes.
+fn unpack(archive: &Path, file: &Path, to: &Path) -> io::Result<u64> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }
     let mut out = BufWriter::new(File::create(to)?);
     write_unpacked(archive, file, &mut out).map_err(io::Error::other)?;
-    out.flush()
+    out.flush()?;
+    out.get_ref().metadata().map(|about| about.len())
 }
 
 fn failed(app: &App, to: &Path, error: io::Error) -> Problem {

@@ -6,10 +6,13 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
+use fled_core::capture::video::is_video;
 use fled_core::capture::{MAX_FILES, NAMES};
+use fled_core::photo_path::PhotoPath;
 
+use super::budget::Budget;
 use super::earlier::Earlier;
-use super::places::Places;
+use super::places::{Places, is_archive};
 use super::{Upload, Used, check_name};
 use crate::app::App;
 use crate::error::ServerError;
@@ -27,8 +30,8 @@ use crate::store::UploadRow;
 ///
 /// # Errors
 /// 423 if another request does not release one, 404 if one does not exist or has another owner, 409
-/// for unfinished ones, 413 if they are too large together, 422 for an empty list, too many, or a
-/// repeated one, 507 if there is no room.
+/// for unfinished ones, 413 if all are too large together, 422 for an empty list, too many, a
+/// repeated one, or what cannot be added to photographs, 507 if there is no room.
 pub async fn gather(
     app: &Arc<App>,
     ids: &[String],
@@ -45,7 +48,10 @@ pub async fn gather(
     if let Some(name) = fields.get("name") {
         check_name(name)?;
     }
-    own(app, ids, visitor).await?;
+    let rows = own(app, ids, visitor).await?;
+    if earlier.is_some() {
+        check_added(&rows)?;
+    }
     let locks = lock_all(app, ids).await?;
     // By now, pieces that were arriving are stored or discarded.
     let rows = own(app, ids, visitor).await?;
@@ -65,7 +71,7 @@ pub async fn gather(
         used: Used { ids: ids.to_vec(), bytes, locks },
     };
     let (app, dir) = (app.clone(), upload.dir.clone());
-    let linked = move || link_all(&app, dir.path(), earlier.as_ref(), &rows);
+    let linked = move || link_all(&app, dir.path(), earlier.as_ref(), most, &rows);
     tokio::task::spawn_blocking(linked).await.map_err(|_| Problem::internal())??;
     Ok(upload)
 }
@@ -90,6 +96,22 @@ fn check_list(ids: &[String], beside: usize) -> Result<(), Problem> {
     }
 }
 
+/// Checks uploads that are added to the photographs of a capture. A video beside photographs is
+/// left out, as everywhere.
+fn check_added(rows: &[UploadRow]) -> Result<(), Problem> {
+    let path = |row: &UploadRow| PhotoPath::new(&row.filename);
+    let detail = if rows.iter().any(|row| is_archive(&path(row))) {
+        "A ZIP file cannot be added to a capture."
+    } else if rows.iter().all(|row| is_video(Path::new(path(row).name()))) {
+        "A video cannot be added to a capture."
+    } else {
+        return Ok(());
+    };
+    Err(Problem::unprocessable("bad_input", detail)
+        .pointer("/add_to")
+        .hint("Send photographs, or leave `add_to` out to make a new capture."))
+}
+
 /// The rows of uploads, in order. An admin may see other owners' uploads, but can use only their
 /// own: the capture counts towards the quota of its creator.
 async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadRow>, Problem> {
@@ -112,16 +134,20 @@ async fn lock_all(app: &App, ids: &[String]) -> Result<Vec<UploadLock>, Problem>
     Ok(locks)
 }
 
-/// Links every file into `dir`, under its upload's file name, after those of an `earlier` capture.
+/// Links every file into `dir`, under its upload's file name, after those of an `earlier` capture:
+/// with these, they are at most `most` bytes.
 fn link_all(
     app: &App,
     dir: &Path,
     earlier: Option<&Earlier>,
+    most: Option<u64>,
     rows: &[UploadRow],
 ) -> Result<(), Problem> {
     let mut places = Places::default();
     if let Some(earlier) = earlier {
-        earlier.link_into(app, dir, &mut places)?;
+        let mut budget = Budget::new(app, most);
+        budget.count(rows.iter().map(|row| row.length).sum())?;
+        earlier.link_into(dir, &mut places, &mut budget)?;
     }
     for (at, row) in rows.iter().enumerate() {
         let from = app.data.upload(&row.id);

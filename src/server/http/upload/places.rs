@@ -40,10 +40,10 @@ impl Places {
     pub(super) fn place(&mut self, part: &str, name: &str) -> Result<PathBuf, Problem> {
         let path = sent_path(part, name);
         let lower = path.name().to_ascii_lowercase();
-        if lower.ends_with(".zip") && part != "gt" {
+        if is_archive(&path) && part != "gt" {
             return Ok(self.unique(Path::new(""), validation::ARCHIVE));
         }
-        if is_video(Path::new(&lower)) && part == PHOTOGRAPHS {
+        if is_video(Path::new(path.name())) && part == PHOTOGRAPHS {
             return Ok(self.unique(Path::new(VIDEOS), &safe_name(path.name())));
         }
         let place = match folder_of_poses(&path) {
@@ -103,6 +103,11 @@ impl Places {
             }
         }
     }
+}
+
+/// Whether a file is stored as the ZIP of an upload, wherever photographs are expected.
+pub(super) fn is_archive(path: &PhotoPath) -> bool {
+    path.name().to_ascii_lowercase().ends_with(".zip")
 }
 
 fn sent_twice(path: &PhotoPath) -> Problem {

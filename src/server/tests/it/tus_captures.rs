@@ -119,6 +119,20 @@ fn photographs_are_added_to_those_of_a_capture_which_stays_as_it_is() {
 }
 
 #[test]
+fn a_zip_or_a_video_is_not_added_to_a_capture() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let order = json!({ "uploads": uploads(&tus, 3) });
+    let first = server.post_json("/v1/captures", &order, &[]).expect(201).json();
+    for name in ["walk.ZIP", "walk.mp4"] {
+        let id = tus.upload(name, &photograph(3));
+        let order = json!({ "uploads": [id], "add_to": first["id"] });
+        let refused = server.post_json("/v1/captures", &order, &[]).expect(422).json();
+        assert_eq!(refused["pointer"], "/add_to", "{name}");
+    }
+}
+
+#[test]
 fn photographs_are_added_to_own_captures_alone() {
     let server = Server::start();
     let [anna, bert] = ["anna", "bert"].map(|name| token_of(name, &server, USER).0);
