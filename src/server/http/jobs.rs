@@ -41,7 +41,7 @@ const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 pub struct CreateJob {
     /// ID of an existing capture.
     capture_id: String,
-    /// `preview`, `standard` (default) or `paper`.
+    /// `auto` (default), `preview`, `standard`, `high` or `paper`.
     preset: Option<String>,
     /// Options that override the preset's; see `/v1/options`.
     #[serde(default)]
@@ -85,7 +85,7 @@ pub struct JobForm {
     name: Option<String>,
     /// Number of photographs to take from a video, 3 to 500; 40 by default.
     frames: Option<String>,
-    /// `preview`, `standard` (default) or `paper`.
+    /// `auto` (default), `preview`, `standard`, `high` or `paper`.
     preset: Option<String>,
     /// Options that override the preset's, as a JSON object.
     options: Option<String>,

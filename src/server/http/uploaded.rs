@@ -62,7 +62,7 @@ pub struct JobOfUploads {
     /// ID of a capture whose photographs are used, too; it stays as it is. Its poses, masks and
     /// ground truth are not used. A ZIP file or a video cannot be added.
     add_to: Option<String>,
-    /// `preview`, `standard` (default) or `paper`.
+    /// `auto` (default), `preview`, `standard`, `high` or `paper`.
     preset: Option<String>,
     /// Options that override the preset's; see `/v1/options`.
     #[serde(default)]
