@@ -88,5 +88,5 @@ async fn changed(
         return Ok(None);
     }
     let job = order.job(app, &capture.id, &row.name)?;
-    Ok(Some(Change { options: job.options, rounds: job.rounds }))
+    Ok(Some(Change { options: job.options, rounds: job.rounds, needs: job.needs }))
 }

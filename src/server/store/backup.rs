@@ -85,8 +85,8 @@ impl Store {
         let done = sqlx::query(
             "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,
              finished_at = NULL, best_round = NULL, error_code = NULL, error_detail = NULL,
-             error_hint = NULL, overlap = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
-             lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = $1",
+             error_hint = NULL, overlap = NULL, detail = NULL, detail_because = NULL,
+             cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0, lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = $1",
         )
         .bind(id)
         .execute(&mut *tx)

@@ -357,7 +357,8 @@ pub(super) async fn change(
     if matches!(transition, Transition::Retried | Transition::Changed) {
         sqlx::query(
                 "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
-                 overlap = NULL, failures = 0, not_before = 0, expires_at = NULL WHERE id = $1",
+                 overlap = NULL, detail = NULL, detail_because = NULL, failures = 0, not_before = 0,
+                 expires_at = NULL WHERE id = $1",
             )
             .bind(id)
             .execute(&mut **tx)

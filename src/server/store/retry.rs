@@ -1,6 +1,6 @@
 //! Retries of finished jobs.
 
-use super::jobs::change;
+use super::jobs::{Needs, change};
 use super::room::{Full, Room, full};
 use super::{Store, Tx};
 use crate::error::Result;
@@ -27,6 +27,8 @@ pub struct Change {
     pub options: Value,
     /// Rounds that they request.
     pub rounds: u32,
+    /// The machine that they require.
+    pub needs: Needs,
 }
 
 impl Store {
@@ -67,10 +69,12 @@ impl Store {
 async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     sqlx::query(
         "UPDATE jobs SET options = $1, rounds = $2, round = 0, progress = 0, best_round = NULL,
-         failed_at = 0 WHERE id = $3",
+         failed_at = 0, needs_gpu = $3, needs_memory = $4 WHERE id = $5",
     )
     .bind(other.options.to_string())
     .bind(i64::from(other.rounds))
+    .bind(i64::from(other.needs.gpu))
+    .bind(i64::try_from(other.needs.memory).unwrap_or(i64::MAX))
     .bind(id)
     .execute(&mut **tx)
     .await?;
@@ -107,7 +111,8 @@ mod tests {
         let job = NewJob { options: json!({ "cap": 1 }), ..new_job("j") };
         let room = room(9);
         store.create_job(&job, None, "", room).await.expect("made");
-        let other = Change { options: json!({ "cap": 2 }), rounds: 1 };
+        let needs = Needs { gpu: true, memory: 1000 };
+        let other = Change { options: json!({ "cap": 2 }), rounds: 1, needs };
         let retry = async |other| store.retry("j", room, other).await.expect("asked");
         assert_eq!(retry(Some(&other)).await, Retry::WrongState, "it waits");
         store.request_cancel("j").await.expect("cancelled");
@@ -119,5 +124,6 @@ mod tests {
         assert_eq!(retry(Some(&other)).await, Retry::Queued);
         assert_eq!(row().await.options, json!({ "cap": 2 }));
         assert_eq!((row().await.rounds, row().await.progress), (1, 0.0));
+        assert_eq!(row().await.needs, needs);
     }
 }

@@ -284,6 +284,7 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
             let other = Change {
                 options: json!({}),
                 rounds: 1,
+                needs: Needs::default(),
             };
             store
                 .retry("j", room(9), Some(&other))
@@ -390,4 +391,14 @@ async fn a_job_keeps_the_detail_that_its_machine_chose() {
         assert_eq!(detail().await, Some(chosen));
         store.settle(&lease, &Settlement::Released).await.expect("settle");
     }
+    // A retry may have other options, and a job without files begins anew.
+    store.request_cancel("a").await.expect("cancel");
+    store.retry("a", room(9), None).await.expect("retry");
+    assert_eq!(detail().await, None);
+    let lease = store.claim("w", 60_000, &[]).await.expect("claim").expect("job").lease;
+    let because = "of its memory".to_owned();
+    let detail_chosen = ChosenDetail { level: DetailLevel::High, because };
+    let event = Event::DetailChosen { detail: detail_chosen };
+    store.record(&lease, &event).await.expect("record");
+    assert!(store.begin_anew("a").await.expect("queued") && detail().await.is_none());
 }
