@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::deblur::{BUILT_IN, Model, NetworkChoice, network_names};
-use fled_core::device::AUTO;
+use fled_core::device::PROCESSOR;
 use fled_core::enhance::Target;
 use fled_core::pipeline::config::{Detail, NetworkOption, Options, OptionsError, Preset};
 use fled_core::reading::below;
@@ -17,7 +17,7 @@ use crate::store::{Engine, JobRow, Needs, NewJob};
 use crate::validation::CaptureReport;
 
 /// Memory of a machine that may run a job of the presets for GPUs, in bytes.
-const GPU_JOB_MEMORY: u64 = 12 << 30;
+const LARGE_JOB_MEMORY: u64 = 12 << 30;
 
 /// Maximum characters of a fragment of an adapter's name.
 const LONGEST_ADAPTER: usize = 200;
@@ -142,12 +142,13 @@ impl Order {
 
 impl Order {
     /// Requirements for the machine, if there are several: without a GPU, training with the paper's
-    /// settings takes days, and the detail `high` is refused unless the options name the device.
+    /// settings takes days, and the detail `high` is refused. Options that name the processor need
+    /// no GPU, but as much memory.
     fn needs(&self, app: &App) -> Needs {
-        let is_high = self.options.detail == Detail::High && self.options.adapter == AUTO;
-        let for_gpu = is_high || self.preset == Preset::Paper;
+        let is_large = self.options.detail == Detail::High || self.preset == Preset::Paper;
+        let gpu = self.options.adapter != PROCESSOR;
         match app.store.engine() {
-            Engine::Postgres if for_gpu => Needs { gpu: true, memory: GPU_JOB_MEMORY },
+            Engine::Postgres if is_large => Needs { gpu, memory: LARGE_JOB_MEMORY },
             _ => Needs::default(),
         }
     }
