@@ -3,7 +3,7 @@
 use super::config::{Guide, Options};
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
-use super::decide::{Decision, decide};
+use super::decide::decide;
 use super::deliver::{deliver, delivered};
 use super::dependencies::{RoundDependencies, RunDependencies};
 use super::effective::Effective;
@@ -94,7 +94,8 @@ pub fn run(
     let decision = decide(capture, asked, tools.device)?;
     let options = &decision.options;
     let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, &decision, tools, workspace, sink, cancel)?;
+    let context = &mut begin(capture, asked, tools, workspace, sink, cancel)?;
+    decision.report(context.sink);
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
     let whole = depends_on.run();
@@ -333,11 +334,10 @@ pub fn find_poses(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
-    let decision = decide(capture, asked, tools.device)?;
-    let options = &decision.options;
-    let sink = &mut with_progress(capture, options, tools, workspace, sink);
-    let context = &mut begin(capture, &decision, tools, workspace, sink, cancel)?;
-    let poses = poses(context, capture, options, tools)?;
+    // Poses depend neither on the detail nor on what fits into memory, which the run decides.
+    let sink = &mut with_progress(capture, asked, tools, workspace, sink);
+    let context = &mut begin(capture, asked, tools, workspace, sink, cancel)?;
+    let poses = poses(context, capture, asked, tools)?;
     publish(workspace, &poses)?;
     Ok(poses)
 }
@@ -345,25 +345,24 @@ pub fn find_poses(
 /// Writes the options of the run and reports its start.
 fn begin<'a>(
     capture: &Capture,
-    decision: &Decision<'_>,
+    asked: &Options,
     tools: &Tools<'_>,
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
     cancel: &'a CancelToken,
 ) -> Result<Context<'a>, PipelineError> {
     cancel.check()?;
-    workspace.write_json(&workspace.folder().config(), decision.asked)?;
+    workspace.write_json(&workspace.folder().config(), asked)?;
     if workspace.enter()? {
         let message = "another version of fled began this run; its stages start again";
         sink.warn("upgraded", message.to_owned());
     }
     sink.event(&Event::Planned {
-        rounds: decision.options.round_count(),
+        rounds: asked.round_count(),
         views: capture.views.len() as u32,
         shake: None,
         size: None,
     });
-    decision.report(sink);
     sink.log(format!("adapter: {}", tools.device));
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));
