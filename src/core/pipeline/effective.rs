@@ -27,11 +27,12 @@ impl Effective {
     /// `found` are the shaken views, if the options require that they are found.
     pub fn of(options: &Options, found: Option<&Shaken>) -> Self {
         let verdict = found.map(Shaken::verdict);
-        let size = found.map_or(options.longest_side(), |found| found.size(options));
+        let sizes = found
+            .map(|found| Sizes { before: found.size_before(options), now: found.size(options) });
         let is_still = verdict == Some(CaptureShake::Still);
         let shaken_at_first = found.filter(|_| is_still).map(Shaken::names).unwrap_or_default();
         Self {
-            options: in_effect(options, verdict, size),
+            options: in_effect(options, verdict, sizes),
             levels: if is_still { Levels::Target } else { Levels::Rising },
             is_single: is_still && options.rounds == Setting::Auto,
             shaken_at_first,
@@ -59,13 +60,26 @@ impl Effective {
     }
 }
 
-/// The options in effect for rounds whose images have `size`.
+/// Longest sides of the working images, px; below the option for small photographs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sizes {
+    /// Before the verdict on the shake.
+    pub before: u32,
+    /// In the rounds.
+    pub now: u32,
+}
+
+/// The options in effect for rounds whose images have these `sizes`; without them they stay.
 ///
 /// A still capture is splatted plainly, in one round with the steps of all unless the options say
 /// otherwise. Its cameras stay as found: correcting them costs one museum capture 0.3 to 0.6 dB and
 /// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, images of
 /// a strongly shaken capture are smaller, with as many Gaussians a pixel.
-pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) -> Options {
+pub fn in_effect(
+    options: &Options,
+    verdict: Option<CaptureShake>,
+    sizes: Option<Sizes>,
+) -> Options {
     let mut options = options.clone();
     match verdict {
         Some(CaptureShake::Still) => {
@@ -76,13 +90,13 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) ->
             }
         }
         Some(CaptureShake::Shaken) => {
-            let area = (f64::from(size) / f64::from(options.longest_side())).powi(2);
-            if size != options.longest_side() && options.cap.is_open() {
-                let cap = (f64::from(options.most_gaussians()) * area).round();
-                options.cap = Setting::Given(cap as u32);
-            }
-            if size != options.longest_side() {
-                options.size = Setting::Given(size);
+            if let Some(Sizes { before, now }) = sizes.filter(|sizes| sizes.now < sizes.before) {
+                let area = (f64::from(now) / f64::from(before)).powi(2);
+                if options.cap.is_open() {
+                    let cap = (f64::from(options.most_gaussians()) * area).round();
+                    options.cap = Setting::Given(cap as u32);
+                }
+                options.size = Setting::Given(now);
             }
         }
         None => {}
@@ -94,21 +108,28 @@ pub fn in_effect(options: &Options, verdict: Option<CaptureShake>, size: u32) ->
 mod tests {
     use super::*;
     use crate::camera::Split;
+    use crate::pipeline::config::Preset;
     use crate::pipeline::training_images::tests::view;
 
     #[test]
     fn shake_decides_the_rounds_of_a_capture() {
         let options = Options::default();
-        let still = in_effect(&options, Some(CaptureShake::Still), 560);
+        let sizes = |before, now| Some(Sizes { before, now });
+        let (same, smaller) = (sizes(560, 560), sizes(560, 420));
+        let still = in_effect(&options, Some(CaptureShake::Still), same);
         assert!(!still.refine_poses);
         assert_eq!((still.rounds, still.steps), (Setting::Auto, Setting::Given(2_000)));
         let small =
             Options { size: Setting::Given(420), cap: Setting::Given(16_875), ..options.clone() };
-        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 420), small);
-        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), 560), options);
-        assert_eq!(in_effect(&options, None, 560), options);
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), smaller), small);
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), same), options);
+        assert_eq!(in_effect(&options, Some(CaptureShake::Shaken), sizes(400, 400)), options);
+        assert_eq!(in_effect(&options, None, None), options);
+        let of_small_photographs =
+            in_effect(&Preset::High.options(), Some(CaptureShake::Shaken), sizes(525, 420));
+        assert_eq!(of_small_photographs.cap, Setting::Given(640_000), "of their own pixels");
         let options = Options { cap: Setting::Given(50_000), ..options };
-        let small = in_effect(&options, Some(CaptureShake::Shaken), 420);
+        let small = in_effect(&options, Some(CaptureShake::Shaken), smaller);
         assert_eq!(small.cap, options.cap, "a number that was set stays");
     }
 

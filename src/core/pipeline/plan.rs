@@ -16,6 +16,7 @@ use history::Cost;
 pub use history::History;
 pub use reporter::ProgressReporter;
 use search::Trial;
+pub use work::Photographs;
 use work::{Job, Part, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
@@ -114,10 +115,10 @@ struct Advanced {
 }
 
 impl Plan {
-    /// Plan for `views` photographs, with this total of pixels at the size asked for.
-    pub fn new(options: &Options, views: usize, pixels: usize, by: By, history: History) -> Self {
+    /// Plan for photographs, as they are at the size asked for.
+    pub fn new(options: &Options, photographs: Photographs, by: By, history: History) -> Self {
         Self {
-            job: Job::new(options, views, pixels),
+            job: Job::new(options, photographs),
             history,
             by,
             measured: BTreeMap::new(),

@@ -14,7 +14,7 @@ use super::exposures::{self, Exposures};
 use super::guide;
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::{By, History, Plan, ProgressReporter};
+use super::plan::{By, History, Photographs, Plan, ProgressReporter};
 use super::poses::{poses, publish};
 use super::reconstruct::{Predecessor, TrainedScene, TrainingData, reconstruct};
 use super::render::render;
@@ -26,7 +26,7 @@ use super::training_images::{self, trained_on, training_images};
 use super::views::{self, View};
 use super::workspace::Workspace;
 use crate::cancel::CancelToken;
-use crate::capture::{Capture, CaptureView};
+use crate::capture::Capture;
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
 use crate::metrics::Report;
@@ -125,7 +125,7 @@ pub fn run(
         rounds: effective.rounds(),
         views: state.views.len() as u32,
         shake: report.capture_shake,
-        size: Some(in_effect.longest_side()),
+        size: Some(views::longest_side(&state.views).min(in_effect.longest_side())),
     });
     let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
@@ -260,7 +260,7 @@ fn round(
         rounds: options.round_count(),
         views: views.len() as u32,
         shake: report.capture_shake,
-        size: Some(options.longest_side()),
+        size: Some(views::longest_side(&views)),
     });
     *state = RoundState::new(context, request, tools, poses, views, exposures)?;
     state.output(context, tools, input.index, scene, on)
@@ -381,12 +381,11 @@ fn with_progress<'a>(
     workspace: &'a Workspace,
     sink: &'a mut dyn ProgressSink,
 ) -> ProgressReporter<'a> {
-    let pixels = |view: &CaptureView| {
-        let (width, height) =
-            views::working_size(view.width, view.height, options.longest_side() as usize);
-        width * height
+    let photographs = Photographs {
+        views: capture.views.len(),
+        pixels: views::working_pixels(capture, options),
+        longest: views::longest_working_side(capture, options),
     };
-    let pixels = capture.views.iter().map(pixels).sum();
     let network = tools.networks().deblur;
     let by = By {
         adapter: tools.device.to_string(),
@@ -394,6 +393,6 @@ fn with_progress<'a>(
         poses: tools.sfm.describe(),
     };
     let history = History::open(tools.cache.as_deref(), workspace);
-    let plan = Plan::new(options, capture.views.len(), pixels, by, history);
+    let plan = Plan::new(options, photographs, by, history);
     ProgressReporter::new(sink, workspace, plan)
 }

@@ -15,7 +15,7 @@ use super::enhance::Brightening;
 use super::error::PipelineError;
 use super::restore::Restoration;
 use super::tools::Tools;
-use super::views::{View, masks};
+use super::views::{View, longest_side, masks};
 use crate::cancel::CancelToken;
 use crate::deblur::{NetworkChoice, Restorer};
 use crate::event::Stage;
@@ -108,11 +108,16 @@ impl Shaken {
         self.verdict
     }
 
+    /// Longest side of the working images before the verdict, px.
+    pub fn size_before(&self, options: &Options) -> u32 {
+        options.longest_side().min(self.longest)
+    }
+
     /// Longest side of the working images, px.
     pub fn size(&self, options: &Options) -> u32 {
-        let size = options.longest_side();
+        let size = self.size_before(options);
         let chooses = self.is_strong && options.size.is_open();
-        if chooses && self.longest > STRONG_SIDE { size.min(STRONG_SIDE) } else { size }
+        if chooses { size.min(STRONG_SIDE) } else { size }
     }
 }
 
@@ -150,8 +155,7 @@ pub fn shaken(
     let response = &brightening.last().response;
     let ratios = significances(&brightening.target, &deblurred, &masks(views), response);
     let mut shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
-    let sides = brightening.target.iter().map(|view| view.width().max(view.height()) as u32);
-    shaken.longest = sides.max().unwrap_or(0);
+    shaken.longest = longest_side(views);
     if shaken.verdict == CaptureShake::Shaken && shaken.longest > STRONG_SIDE {
         let network = &mut *tools.deblurrer;
         shaken.is_strong = is_strong(network, &brightening.target, response, context.cancel)?;
@@ -240,7 +244,7 @@ mod tests {
         assert_eq!(sizes(false), [280, 560, 900, 1120]);
         assert_eq!(sizes(true), [280, 420, 420, 1120]);
         let small = Shaken { longest: 400, is_strong: true, ..of(&[1.5]) };
-        assert_eq!(small.size(&Options::default()), 560, "its images stay as they are");
+        assert_eq!(small.size(&Options::default()), 400, "its images stay as they are");
     }
 
     #[test]

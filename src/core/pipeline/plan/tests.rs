@@ -9,7 +9,7 @@ use super::*;
 use crate::deblur::NetworkChoice;
 use crate::event::ProgressSink;
 use crate::metrics::CaptureShake;
-use crate::pipeline::config::Setting;
+use crate::pipeline::config::{Preset, Setting};
 use crate::pipeline::workspace::{CODE_VERSION, Workspace};
 
 /// Share by which the time left may be wrong, and seconds near the end.
@@ -54,7 +54,9 @@ impl Recording {
             network: options.deblur.as_str().to_owned(),
             poses: format!("{:?}", options.pose_source),
         };
-        Plan::new(&options, self.header.views, self.header.pixels, by, history)
+        let Header { views, pixels, .. } = self.header;
+        let photographs = Photographs { views, pixels, longest: options.longest_side() };
+        Plan::new(&options, photographs, by, history)
     }
 }
 
@@ -179,7 +181,8 @@ fn fresh(history: History) -> Plan {
         deblur: NetworkChoice::Identity,
         ..Options::default()
     };
-    Plan::new(&options, 12, 12 * 240 * 136, By::default(), history)
+    let photographs = Photographs { views: 12, pixels: 12 * 240 * 136, longest: 240 };
+    Plan::new(&options, photographs, By::default(), history)
 }
 
 fn with_poses(history: History) -> Plan {
@@ -482,12 +485,16 @@ fn a_finished_run_leaves_its_costs_to_the_next() {
 
 #[test]
 fn a_shaken_capture_is_less_work_where_its_images_shrink() {
-    let work = |size| {
-        let mut job = Job::new(&Options::default(), 10, 2_000_000);
+    let work = |preset: Preset, longest, size| {
+        let photographs = Photographs { views: 10, pixels: 2_000_000, longest };
+        let mut job = Job::new(&preset.options(), photographs);
         // Late views make another plan.
         (0..2).for_each(|_| job.replan(2, 10, Some(CaptureShake::Shaken), Some(size)));
         job.training(1, 1_000).iter().map(|(_, seconds)| seconds).sum::<f64>()
     };
-    let share = work(420) / work(560);
-    assert!((0.5..0.9).contains(&share), "{share}");
+    // `high` allows 1,600 px, but the photographs have 560.
+    for preset in [Preset::Standard, Preset::High] {
+        let share = work(preset, 560, 420) / work(preset, 560, 560);
+        assert!((0.5..0.9).contains(&share), "{share}");
+    }
 }

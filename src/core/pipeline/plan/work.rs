@@ -6,7 +6,7 @@ use crate::event::Stage;
 use crate::features::SearchOptions;
 use crate::metrics::CaptureShake;
 use crate::pipeline::config::{NoiseMode, Options, Pace, Start};
-use crate::pipeline::effective::in_effect;
+use crate::pipeline::effective::{Sizes, in_effect};
 use crate::pipeline::shaken;
 use crate::pipeline::views::HELD_OUT_FROM;
 use crate::reconstruct::{CORRECTIONS, Schedule};
@@ -82,6 +82,17 @@ const KERNELS: f64 = 0.6;
 /// Work of some parts, s.
 pub type Work = Vec<(Part, f64)>;
 
+/// The photographs of a run at the size asked for.
+#[derive(Clone, Copy, Debug)]
+pub struct Photographs {
+    /// How many there are.
+    pub views: usize,
+    /// Pixels of all.
+    pub pixels: usize,
+    /// Longest side, px.
+    pub longest: u32,
+}
+
 /// The facts that decide the work of a run.
 #[derive(Clone, Debug)]
 pub struct Job {
@@ -92,6 +103,8 @@ pub struct Job {
     views: f64,
     /// Mean of a working image.
     megapixels: f64,
+    /// Longest sides of the working images.
+    sizes: Sizes,
     /// Photographs and pairs of them that structure from motion counts, once known.
     pairs: Option<u64>,
     /// Whether poses are searched for.
@@ -101,14 +114,16 @@ pub struct Job {
 }
 
 impl Job {
-    /// A run over `views` photographs, with this total of pixels at the size asked for.
-    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
+    /// A run over photographs, as they are at the size asked for.
+    pub fn new(options: &Options, photographs: Photographs) -> Self {
+        let Photographs { views, pixels, longest } = photographs;
         Self {
             asked: options.clone(),
             options: options.clone(),
             rounds: options.round_count(),
             views: views as f64,
             megapixels: pixels as f64 / 1e6 / views.max(1) as f64,
+            sizes: Sizes { before: longest, now: longest },
             pairs: None,
             searches: false,
             kernels: None,
@@ -125,9 +140,10 @@ impl Job {
     ) {
         (self.rounds, self.views) = (rounds, f64::from(views));
         if shake.is_some() {
-            let before = self.options.longest_side();
-            self.options = in_effect(&self.asked, shake, size.unwrap_or(before));
-            self.megapixels *= (f64::from(self.options.longest_side()) / f64::from(before)).powi(2);
+            let last = self.sizes.now;
+            self.sizes.now = size.unwrap_or(last);
+            self.options = in_effect(&self.asked, shake, Some(self.sizes));
+            self.megapixels *= (f64::from(self.sizes.now) / f64::from(last.max(1))).powi(2);
         }
     }
 
