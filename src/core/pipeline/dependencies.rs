@@ -26,7 +26,7 @@ const DEBLUR_GUIDED: &[&str] = &["guide"];
 /// Deblurring without a guide.
 const DEBLUR: &[&str] = &[];
 /// The curves from a round's renders to the next round and to the target.
-const MATCH: &[&str] = &["lut_scope", "guide", "seed"];
+const MATCH: &[&str] = &["lut_scope", "seed"];
 /// The views that join or leave the scene after a round.
 const LATE_VIEWS: &[&str] = &["detail", "size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
@@ -218,7 +218,7 @@ pub struct RoundDependencies {
     pub deblur: Dependencies,
     /// V_i.
     pub reconstruct: Dependencies,
-    /// P_R and HR.
+    /// P_R and H_{i+1}.
     pub matching: Dependencies,
 }
 
