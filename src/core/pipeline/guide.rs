@@ -96,7 +96,7 @@ mod tests {
                 }
             }
         }
-        let guide = super::guide(&view, &render, SHARE);
+        let guide = guide(&view, &render, SHARE);
         let wrong = guide.get(4, 16)[2];
         assert!((wrong - 0.5).abs() < 0.01, "the wrong half must be the view: {wrong}");
         // A stripe is 0.01 above its cell, which is 0.02 above the view's: its weight is exp(-1/4).
