@@ -23,9 +23,9 @@ pub struct Args {
     #[command(flatten)]
     remote: super::Args,
     /// Preset: auto (high on a GPU with at least 6 GB of memory, else standard), preview, standard,
-    /// high or paper.
-    #[arg(long, default_value = "auto")]
-    preset: Preset,
+    /// high or paper [default: the service's, auto].
+    #[arg(long)]
+    preset: Option<Preset>,
     /// Overrides one option of the preset; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
@@ -104,14 +104,15 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 
 /// The order of the job, without its uploads.
 fn order(args: &Args) -> Result<Map<String, Value>, Failure> {
-    let options = assigned(args.preset, &args.assignments)?;
+    let options = assigned(args.preset.unwrap_or(Preset::Auto), &args.assignments)?;
     let name = args.name.clone().or_else(|| {
         let path = args.capture.canonicalize().ok()?;
         Some(path.file_stem()?.to_string_lossy().into_owned())
     });
     let fields = [
         ("name", name.map(Value::from)),
-        ("preset", Some(args.preset.name().into())),
+        // Left open unless it is given: an older service has another default.
+        ("preset", args.preset.map(|preset| preset.name().into())),
         ("options", Some(Value::Object(options))),
         ("frames", args.frames.map(Value::from)),
         ("priority", args.priority.map(Value::from)),
