@@ -25,9 +25,9 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// auto (high on a GPU with at least 6 GB of memory, else standard), preview, standard, high or
-    /// paper.
-    #[arg(long, default_value = "auto")]
-    preset: Preset,
+    /// paper [default: auto, or standard with --options].
+    #[arg(long)]
+    preset: Option<Preset>,
     /// One option over the preset's; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
@@ -103,7 +103,9 @@ fn run(
 }
 
 fn options(args: &Args) -> Result<Options, Failure> {
-    let mut options = args.preset.options();
+    // A file of an older build has no detail: its numbers were those of `standard`.
+    let usual = if args.options.is_some() { Preset::Standard } else { Preset::Auto };
+    let mut options = args.preset.unwrap_or(usual).options();
     if let Some(path) = &args.options {
         let bytes = fs::read(path).map_err(io(path))?;
         let mut overrides: Map<String, Value> = serde_json::from_slice(&bytes)
@@ -127,4 +129,34 @@ fn is_retired(key: &str) -> bool {
         eprintln!("warning: fled no longer has the option `{key}`; it is ignored");
     }
     retired
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use fled_core::pipeline::config::Detail;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_file_of_options_goes_over_standard_unless_a_preset_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("config.json");
+        fs::write(&file, r#"{ "seed": 3 }"#).expect("a file");
+        let file = file.to_str().expect("a path");
+        let of = |more: &[&str]| {
+            let command = [&["run", "capture", "--out", "result"], more].concat();
+            options(&Command::parse_from(command).args).expect("options")
+        };
+        let old = of(&["--options", file]);
+        assert_eq!((old.detail, old.seed), (Detail::Standard, 3));
+        assert_eq!(of(&["--options", file, "--preset", "auto"]).detail, Detail::Auto);
+        assert_eq!(of(&[]).detail, Detail::Auto);
+    }
 }
