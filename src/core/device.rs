@@ -22,12 +22,14 @@ pub const PROCESSOR: &str = "cpu";
 pub const AUTO: &str = "auto";
 
 /// What decides how much a device can train.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DeviceFacts {
     /// Its name, for users.
     pub name: String,
     /// Whether it is known to be a GPU.
     pub is_gpu: bool,
+    /// Whether it is the processor itself, not a software driver on it.
+    pub is_processor: bool,
     /// Bytes of a GPU's own memory; `None` if it shares the processor's, or if that is unknown.
     pub own_memory: Option<u64>,
 }
@@ -86,7 +88,8 @@ impl Device {
             Self::Gpu(gpu) => (gpu.describe().name.clone(), gpu.describe().own_memory),
             Self::Processor => (processor_name(), None),
         };
-        DeviceFacts { name, is_gpu: self.is_gpu(), own_memory }
+        let is_processor = matches!(self, Self::Processor);
+        DeviceFacts { name, is_gpu: self.is_gpu(), is_processor, own_memory }
     }
 
     /// The memory of this machine. What others use of it is not taken off: a resumed run must find
@@ -179,8 +182,9 @@ mod tests {
         let shown = device.to_string();
         assert!(shown.contains("processor, AVX") && shown.contains("threads"), "{shown}");
         assert_eq!(device.identity(), "the processor");
-        let DeviceFacts { name, is_gpu, own_memory } = device.facts();
-        assert!(shown.starts_with(&name) && !is_gpu && own_memory.is_none(), "{name}");
+        let facts = device.facts();
+        assert!(facts.is_processor && !facts.is_gpu && facts.own_memory.is_none(), "{facts:?}");
+        assert!(shown.starts_with(&facts.name), "{}", facts.name);
         let refused = Device::new("no such adapter");
         assert!(matches!(refused, Err(GpuError::NoAdapter { .. })));
     }

@@ -41,5 +41,6 @@ pub mod config;
 pub mod error;
 pub mod workspace;
 
+pub use detail::check_detail;
 pub use run::{Outcome, find_poses, run};
 pub use tools::Tools;

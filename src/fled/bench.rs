@@ -140,7 +140,7 @@ fn run_job(
     let capture = Capture::prepare(capture, &prepared, side, &Watch::silent());
     let capture = capture.map_err(PipelineError::from)?;
     let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
-    let mut kit = tools::Kit::new(&places, &options, &capture)?;
+    let mut kit = tools::Kit::new(&places, &options, tools::device(&options)?, &capture)?;
     let outcome =
         pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut print_stage, cancel)?;
     let seconds = begin.elapsed().as_secs_f64();

@@ -8,6 +8,7 @@ use fled_core::capture::PREPARED_SIDE;
 use fled_core::event::ProgressSink;
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
+use fled_core::pipeline::error::PipelineError;
 use fled_core::pipeline::workspace::Workspace;
 use serde_json::{Map, Value};
 
@@ -82,10 +83,15 @@ fn run(
 ) -> Result<(), Failure> {
     // The file also marks this folder as no part of a capture, should it lie inside one.
     workspace.write_json(&workspace.folder().config(), options)?;
+    let device = tools::device(options)?;
+    if extent == Extent::Whole {
+        // Before the photographs are read, which takes minutes.
+        pipeline::check_detail(options, &device.facts()).map_err(PipelineError::from)?;
+    }
     let side = PREPARED_SIDE.max(options.longest_side() as usize);
     let out = workspace.folder().work().prepared();
     let capture = prepare::open(&args.source, &out, side, reporter, cancel)?;
-    let mut kit = tools::Kit::new(&args.tools, options, &capture)?;
+    let mut kit = tools::Kit::new(&args.tools, options, device, &capture)?;
     let mut tools = kit.tools();
     match extent {
         Extent::Poses => {

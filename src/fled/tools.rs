@@ -173,6 +173,14 @@ fn home(below: &str, variable: &str) -> Option<PathBuf> {
         .or_else(|| std::env::var_os("HOME").map(|home| PathBuf::from(home).join(below)))
 }
 
+/// Opens the device that `options` request.
+///
+/// # Errors
+/// [`Failure`] of kind `environment`.
+pub fn device(options: &Options) -> Result<Device, Failure> {
+    Device::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))
+}
+
 /// All resources of a run, owned.
 pub struct Kit {
     device: Device,
@@ -185,15 +193,17 @@ pub struct Kit {
 }
 
 impl Kit {
-    /// Opens the device, the networks and the pose source that `options` request.
+    /// Opens the networks and the pose source that `options` request, beside their device.
     ///
     /// # Errors
     /// [`Failure`] of kind `environment` with a hint, or `bad_input` if the options request given
     /// poses that the capture lacks.
-    /// poses that the capture lacks.
-    pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
-        let device =
-            Device::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    pub fn new(
+        args: &Args,
+        options: &Options,
+        device: Device,
+        capture: &Capture,
+    ) -> Result<Self, Failure> {
         let (deblur::Opened { deblurrer, mut fallbacks }, enhancer) = open_networks(args, options)?;
         let enhancer = enhancer.map(|opened| {
             fallbacks.extend(opened.fallbacks);

@@ -1,7 +1,7 @@
 //! Chooses how much detail a run trains, by its device.
 
 use super::config::{Detail, Options, OptionsError};
-use crate::device::{AUTO, DeviceFacts};
+use crate::device::{AUTO, DeviceFacts, PROCESSOR};
 use crate::metrics::{ChosenDetail, DetailLevel};
 
 /// Memory of a GPU's own from which it trains the detail `high`, bytes. A card sold with 6 GB
@@ -17,36 +17,42 @@ pub struct Chosen {
     pub detail: Option<ChosenDetail>,
 }
 
+/// Refuses options that ask for `high` and leave the device open, if that is no GPU.
+///
+/// # Errors
+/// [`OptionsError`], which says how to train all the same.
+pub fn check_detail(options: &Options, device: &DeviceFacts) -> Result<(), OptionsError> {
+    if options.detail != Detail::High || device.is_gpu || options.adapter != AUTO {
+        return Ok(());
+    }
+    let name = &device.name;
+    let adapter = if device.is_processor { PROCESSOR } else { name };
+    let message = format!(
+        "`high` is for GPUs, and this machine has none; choose `standard`, or set \
+         `adapter={adapter}` to train for hours on {name}"
+    );
+    Err(OptionsError { key: "detail".to_owned(), message })
+}
+
 /// Decides the detail that the options leave to the device. Numbers that the options give stay.
 ///
 /// # Errors
-/// [`OptionsError`] if the options ask for `high` and leave the device open, and that is no GPU.
+/// As [`check_detail`].
 pub fn choose(options: &Options, device: &DeviceFacts) -> Result<Chosen, OptionsError> {
-    match options.detail {
-        Detail::Auto => {
-            let detail = of_device(device);
-            let level = match detail.level {
-                DetailLevel::Standard => Detail::Standard,
-                DetailLevel::High => Detail::High,
-            };
-            let options = Options { detail: level, ..options.clone() };
-            Ok(Chosen { options, detail: Some(detail) })
-        }
-        Detail::High if !device.is_gpu && options.adapter == AUTO => {
-            let message = format!(
-                "`high` is for GPUs, and this machine has none; choose `standard`, or set \
-                 `adapter=cpu` to train for hours on {}",
-                device.name
-            );
-            Err(OptionsError { key: "detail".to_owned(), message })
-        }
-        Detail::Standard | Detail::High => Ok(Chosen { options: options.clone(), detail: None }),
+    check_detail(options, device)?;
+    if options.detail != Detail::Auto {
+        return Ok(Chosen { options: options.clone(), detail: None });
     }
+    let chosen = of_device(device);
+    let detail = match chosen.level {
+        DetailLevel::Standard => Detail::Standard,
+        DetailLevel::High => Detail::High,
+    };
+    Ok(Chosen { options: Options { detail, ..options.clone() }, detail: Some(chosen) })
 }
 
 fn of_device(device: &DeviceFacts) -> ChosenDetail {
-    let DeviceFacts { name, is_gpu, own_memory } = device;
-    let gigabytes = |bytes: u64| format!("{:.1} GB", bytes as f64 / 1e9);
+    let DeviceFacts { name, is_gpu, own_memory, .. } = device;
     let (level, because) = match own_memory {
         _ if !is_gpu => (DetailLevel::Standard, format!("{name} is not a GPU")),
         Some(bytes) if *bytes >= HIGH_FROM => {
@@ -56,9 +62,14 @@ fn of_device(device: &DeviceFacts) -> ChosenDetail {
             let (has, needed) = (gigabytes(*bytes), gigabytes(HIGH_FROM));
             (DetailLevel::Standard, format!("{name} has {has} of memory, below {needed}"))
         }
-        None => (DetailLevel::Standard, format!("{name} has no memory of its own")),
+        None => (DetailLevel::Standard, format!("{name} reports no memory of its own")),
     };
     ChosenDetail { level, because }
+}
+
+/// Rounded down: what is below a bound is shown below it.
+fn gigabytes(bytes: u64) -> String {
+    format!("{:.1} GB", (bytes as f64 / 1e8).floor() / 10.0)
 }
 
 #[cfg(test)]
@@ -67,7 +78,8 @@ mod tests {
     use crate::pipeline::config::{Preset, Setting};
 
     fn device(is_gpu: bool, own_memory: Option<u64>) -> DeviceFacts {
-        DeviceFacts { name: "Some device".to_owned(), is_gpu, own_memory }
+        let name = "Some device".to_owned();
+        DeviceFacts { name, is_gpu, own_memory, ..DeviceFacts::default() }
     }
 
     fn chosen(options: &Options, device: &DeviceFacts) -> (Options, ChosenDetail) {
@@ -92,7 +104,13 @@ mod tests {
                 DetailLevel::Standard,
                 "Some device has 4.2 GB of memory, below 6.0 GB",
             ),
-            (true, None, DetailLevel::Standard, "Some device has no memory of its own"),
+            (
+                true,
+                Some(5_999_999_999),
+                DetailLevel::Standard,
+                "Some device has 5.9 GB of memory, below 6.0 GB",
+            ),
+            (true, None, DetailLevel::Standard, "Some device reports no memory of its own"),
             (false, None, DetailLevel::Standard, "Some device is not a GPU"),
             (false, Some(64_000_000_000), DetailLevel::Standard, "Some device is not a GPU"),
         ];
@@ -125,12 +143,16 @@ mod tests {
     #[test]
     fn high_without_a_gpu_must_name_the_device() {
         let high = Preset::High.options();
-        let refused = choose(&high, &device(false, None)).expect_err("hours");
+        let software = device(false, None);
+        let processor = DeviceFacts { is_processor: true, ..software.clone() };
+        let refused = choose(&high, &processor).expect_err("hours");
         assert_eq!(refused.key, "detail");
         assert!(refused.message.contains("choose `standard`, or set `adapter=cpu`"), "{refused}");
+        let refused = choose(&high, &software).expect_err("hours");
+        assert!(refused.message.contains("`adapter=Some device`"), "no AVX2: {refused}");
         let asked = Options { adapter: "cpu".to_owned(), ..high.clone() };
         let whole = Chosen { options: asked.clone(), detail: None };
-        assert_eq!(choose(&asked, &device(false, None)), Ok(whole));
+        assert_eq!(choose(&asked, &processor), Ok(whole));
         assert!(choose(&high, &device(true, Some(2_000_000_000))).is_ok(), "a small GPU is obeyed");
         let standard = Preset::Standard.options();
         assert_eq!(choose(&standard, &device(true, None)).expect("obeyed").options, standard);
