@@ -133,7 +133,7 @@ impl Order {
             capture_id: capture.to_owned(),
             preset: self.preset.name().to_owned(),
             rounds: self.options.round_count(),
-            needs: self.needs(app),
+            needs: self.needs(app.store.engine()),
             priority: self.priority.number(),
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
         })
@@ -144,10 +144,10 @@ impl Order {
     /// Requirements for the machine, if there are several: without a GPU, training with the paper's
     /// settings takes days, and the detail `high` is refused. Options that name the processor need
     /// no GPU, but as much memory.
-    fn needs(&self, app: &App) -> Needs {
+    fn needs(&self, engine: Engine) -> Needs {
         let is_large = self.options.detail == Detail::High || self.preset == Preset::Paper;
         let gpu = self.options.adapter != PROCESSOR;
-        match app.store.engine() {
+        match engine {
             Engine::Postgres if is_large => Needs { gpu, memory: LARGE_JOB_MEMORY },
             _ => Needs::default(),
         }
@@ -201,4 +201,25 @@ fn bad_option(error: &OptionsError) -> Problem {
     Problem::unprocessable("bad_option", error.to_string())
         .pointer(below("options", &below(&error.key, "")))
         .hint("See /v1/options for the options, their ranges and presets.")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_large_job_needs_memory_and_a_gpu_unless_it_names_the_processor() {
+        let needs = |preset: Preset, adapter: &str, engine| {
+            let options = Options { adapter: adapter.to_owned(), ..preset.options() };
+            let needs = Order { preset, options, priority: Priority::of(0) }.needs(engine);
+            (needs.gpu, needs.memory > 0)
+        };
+        for large in [Preset::High, Preset::Paper] {
+            assert_eq!(needs(large, "auto", Engine::Postgres), (true, true));
+            assert_eq!(needs(large, "some card", Engine::Postgres), (true, true));
+            assert_eq!(needs(large, PROCESSOR, Engine::Postgres), (false, true));
+            assert_eq!(needs(large, "auto", Engine::Sqlite), (false, false), "one machine");
+        }
+        assert_eq!(needs(Preset::Auto, "auto", Engine::Postgres), (false, false));
+    }
 }
