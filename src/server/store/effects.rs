@@ -1,6 +1,7 @@
 //! Effects of events on a job's rows, inside the transaction that records the event.
 
 use fled_core::event::{Event, Stage};
+use serde::Serialize;
 use serde_json::{Value, json};
 use sqlx::Row;
 
@@ -85,10 +86,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         .bind(i64::from(*round))
         .bind(*seconds),
         Event::RoundFinished { metrics } => {
-            let json = serde_json::to_string(metrics).map_err(|error| ServerError::Damaged {
-                what: "round",
-                detail: error.to_string(),
-            })?;
+            let json = json_of("round", metrics)?;
             sqlx::query(
                 "INSERT INTO rounds (job_id, round, metrics) VALUES ($1, $2, $3)
                  ON CONFLICT (job_id, round) DO UPDATE SET metrics = excluded.metrics",
@@ -106,16 +104,22 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
         .bind(message.clone())
         .bind(tx.now),
         Event::OverlapFound(overlap) => {
-            let json = serde_json::to_string(overlap).map_err(|error| ServerError::Damaged {
-                what: "overlap",
-                detail: error.to_string(),
-            })?;
+            let json = json_of("overlap", overlap)?;
             sqlx::query("UPDATE jobs SET overlap = $1 WHERE id = $2").bind(json).bind(job)
         }
         _ => return Ok(()),
     };
     query.execute(&mut **tx).await?;
     Ok(())
+}
+
+/// The stored form of a report.
+fn json_of(what: &'static str, report: &impl Serialize) -> Result<String> {
+    let damaged = |error: serde_json::Error| {
+        let detail = error.to_string();
+        ServerError::Damaged { what, detail }
+    };
+    serde_json::to_string(report).map_err(damaged)
 }
 
 /// Ends an attempt.
