@@ -46,7 +46,7 @@ impl Begun {
                 Err(error) => not_kept(&path, &error),
             },
             Ok(None) => {
-                eprintln!("another command is sending this capture: this one sends all of it, too")
+                eprintln!("another command is sending this capture: this one sends all of it, too");
             }
             Err(error) => not_kept(&path, &error),
         }

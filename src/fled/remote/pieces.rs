@@ -117,8 +117,8 @@ impl Sender<'_> {
         sent.map(|(at, (file, offset))| self.file(at, file, offset)).collect()
     }
 
-    /// Begins the upload of the file at a place, unless an earlier command has; returns the bytes that have
-    /// arrived.
+    /// Begins the upload of the file at a place, unless an earlier command has; returns the bytes
+    /// that have arrived.
     fn find(&mut self, at: usize, name: &str, bytes: u64) -> Result<u64, Fault> {
         if let Some(id) = self.begun.of(at).map(str::to_owned)
             && let Some(offset) = self.reached(&id)?

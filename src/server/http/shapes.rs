@@ -111,8 +111,8 @@ pub struct Job {
     pub eta_seconds: Option<f64>,
     /// Why the job failed.
     pub error: Option<JobError>,
-    /// The photographs in groups that clearly match one another, if too few poses were found and not
-    /// all photographs do; absent in lists.
+    /// The photographs in groups that clearly match one another, if too few poses were found and
+    /// not all photographs do; absent in lists.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(schema_with = of_overlap)]
     pub overlap: Option<Overlap>,
