@@ -100,18 +100,21 @@ fn report(accepted: usize, images: Vec<Assessment>) -> CaptureReport {
     CaptureReport { accepted, images, warnings: Vec::new() }
 }
 
-/// Bytes that validating `dir` needs temporarily: those of an unpacked zip, or those of a small
-/// image for each file.
+/// Bytes that validating `dir` needs temporarily: those of an unpacked zip.
 ///
 /// # Errors
 /// [`Refusal`] if the zip cannot be unpacked.
-pub fn needed_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
-    const IMAGE_BYTES: u64 = 6 * (ASSESSED_SIDE * ASSESSED_SIDE) as u64;
+pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     if !archive.is_file() {
-        return Ok(IMAGE_BYTES * files_below(dir));
+        return Ok(0);
     }
     capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
+}
+
+/// Most bytes of the small images that are made of the files in `dir`, and then removed.
+pub fn image_bytes(dir: &Path) -> u64 {
+    6 * (ASSESSED_SIDE * ASSESSED_SIDE) as u64 * files_below(dir)
 }
 
 /// The number of files in a folder and below it; what cannot be read has none.

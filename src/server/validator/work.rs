@@ -29,7 +29,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
         }
     }
-    match validation::needed_bytes(&request.dir) {
+    match validation::unpacked_bytes(&request.dir) {
         Ok(bytes) if bytes > request.room => return say(&AssessReply::NoRoom),
         Ok(_) => {}
         Err(refusal) => return say(&AssessReply::Refused(*refusal)),

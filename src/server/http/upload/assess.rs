@@ -10,7 +10,7 @@ use super::videos::{name_of, not_filmed, turn};
 use crate::app::App;
 use crate::http::problem::{Problem, disk_full};
 use crate::http::quota::over_quota;
-use crate::validation::{CaptureReport, Refusal};
+use crate::validation::{CaptureReport, Refusal, image_bytes};
 use crate::validator::{AssessError, AssessRequest, VideoFaultKind};
 
 /// Hint for a photograph that crashed the process checking it.
@@ -34,7 +34,9 @@ impl Upload {
             Some(_) => Some(turn(app).await?),
             None => None,
         };
-        let free = app.free_space();
+        let Some(free) = app.free_space().checked_sub(image_bytes(self.dir.path())) else {
+            return Err(disk_full());
+        };
         let request = AssessRequest {
             dir: self.dir.path().to_owned(),
             video: videos.used,
