@@ -8,8 +8,8 @@ use crate::reconstruct::device_bytes;
 /// Bytes of a process without images and Gaussians: libraries, networks and their working memory.
 const PROCESS: u64 = 300_000_000;
 /// Floats a pixel of all views at the peak: between five and six sets of images in three colours
-/// (dark, enhanced, deblurred, trained and rendered). 50 views of 560x315 px took 905 MB in all
-/// (docs/results.md).
+/// (dark, enhanced, deblurred, trained and rendered). 60 views of 560x420 px took 1.0 GB in all
+/// (docs/results.md): with [`PROCESS`] that leaves a quarter to spare.
 const FLOATS_PER_PIXEL: u64 = 17;
 /// Share of a memory that a run may plan to fill.
 const USABLE: f64 = 0.8;
