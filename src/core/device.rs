@@ -21,7 +21,7 @@ pub const PROCESSOR: &str = "cpu";
 /// The value of `adapter` that leaves the device open.
 pub const AUTO: &str = "auto";
 
-/// What decides how much a device can train.
+/// Properties of a device by which the detail of a run is chosen.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct DeviceFacts {
     /// Its name, for users.
@@ -82,7 +82,7 @@ impl Device {
         matches!(self, Self::Gpu(gpu) if gpu.describe().device_type.is_gpu())
     }
 
-    /// What decides how much it can train.
+    /// Its properties by which the detail of a run is chosen.
     pub fn facts(&self) -> DeviceFacts {
         let (name, own_memory) = match self {
             Self::Gpu(gpu) => (gpu.describe().name.clone(), gpu.describe().own_memory),

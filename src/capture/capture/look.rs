@@ -252,7 +252,7 @@ impl<'a> Assessor<'a> {
     }
 }
 
-/// What the images of a photograph are called before it is known to be a view: no view's name
+/// The name of a photograph's images until the photograph is accepted as a view. No view's name
 /// begins with a dot.
 fn unnamed(index: usize) -> String {
     format!(".{index:05}")

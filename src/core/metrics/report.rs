@@ -213,7 +213,7 @@ pub enum CaptureShake {
 /// How much detail a run trains where its options leave that to the device.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ChosenDetail {
-    /// What was chosen.
+    /// The chosen level.
     pub level: DetailLevel,
     /// The fact about the device that decided it.
     pub because: String,
@@ -223,9 +223,9 @@ pub struct ChosenDetail {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DetailLevel {
-    /// What a processor can train in minutes.
+    /// For processors, which train it in minutes.
     Standard,
-    /// What a GPU can.
+    /// For GPUs.
     High,
 }
 

@@ -202,7 +202,7 @@ pub enum Preset {
     Auto,
     /// A quick look at a quarter of the pixels; hides half of the blur and the noise.
     Preview,
-    /// What a processor trains in minutes.
+    /// For a processor, which trains it in minutes.
     Standard,
     /// More pixels, Gaussians and steps, for a GPU; otherwise as `standard`.
     High,

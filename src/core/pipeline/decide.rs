@@ -1,4 +1,5 @@
-//! What a run decides by its machine before anything else: the detail, and what fits into memory.
+//! The decisions of a run that depend on its machine, made first: the detail, and the size and
+//! number of Gaussians that fit into memory.
 
 use super::config::{Options, OptionsError};
 use super::detail::{Chosen, choose};
@@ -16,12 +17,12 @@ pub struct Decision<'a> {
     pub options: Options,
     /// The detail, if it was left to the device.
     pub detail: Option<ChosenDetail>,
-    /// What the run needs.
+    /// The memory that the run needs, in words.
     need: String,
     warnings: Vec<String>,
 }
 
-/// Decides what the options leave to the machine.
+/// Makes the decisions that the options leave to the machine.
 ///
 /// # Errors
 /// [`OptionsError`] as of [`choose`].
@@ -37,7 +38,7 @@ pub fn decide<'a>(
 }
 
 impl Decision<'_> {
-    /// Tells the user.
+    /// Reports the decision to the user.
     pub fn report(&self, sink: &mut dyn ProgressSink) {
         if let Some(detail) = &self.detail {
             sink.event(&Event::DetailChosen { detail: detail.clone() });

@@ -74,12 +74,13 @@ pub fn fit(options: &Options, photographs: &[[usize; 2]], room: &MemoryRoom) -> 
         Options { cap, ..options.clone() }
     };
     let mut fitted = options.clone();
+    let longest = photographs.iter().flatten().max().map_or(u32::MAX, |&side| side as u32);
     // The images first: scenes of few Gaussians do not show what large ones have.
     while fitted.size.is_open()
         && fitted.longest_side() > LEAST_SIDE
         && (need_of(&fitted).host > host || exceeds(&with_few(&fitted)))
     {
-        shrink_images(&mut fitted);
+        shrink_images(&mut fitted, longest);
     }
     // Fewer Gaussians than that would not help.
     let helps = fitted.cap.is_open() && !exceeds(&with_few(&fitted));
@@ -91,10 +92,11 @@ pub fn fit(options: &Options, photographs: &[[usize; 2]], room: &MemoryRoom) -> 
     Fit { need: need_of(&fitted), options: fitted, warnings }
 }
 
-/// Smaller images, with as many Gaussians a pixel where their number is open.
-fn shrink_images(options: &mut Options) {
-    let before = options.longest_side();
-    let side = ((f64::from(before) * SIDE_FACTOR) as u32 / 20 * 20).max(LEAST_SIDE);
+/// Smaller images, with as many Gaussians a pixel where their number is open. `longest` is the
+/// longest side of all photographs, px: images are never larger.
+fn shrink_images(options: &mut Options, longest: u32) {
+    let before = options.longest_side().min(longest);
+    let side = ((f64::from(before) * SIDE_FACTOR) as u32 / 20 * 20).max(LEAST_SIDE.min(before));
     if options.cap.is_open() {
         let area = (f64::from(side) / f64::from(before)).powi(2);
         let cap = (f64::from(options.most_gaussians()) * area) as u32;
@@ -193,6 +195,16 @@ mod tests {
         let [warning] = &fit.warnings[..] else { panic!("{:?}", fit.warnings) };
         assert!(warning.contains("of memory and there are 8.0 GB"), "{warning}");
         assert!(fit.options.size.is_open(), "a verdict on shake may still make them smaller");
+    }
+
+    #[test]
+    fn photographs_below_the_asked_size_keep_as_many_gaussians_a_pixel() {
+        let high = Preset::High.options();
+        let fit = fit(&high, &[[1_000, 750]; 200], &room(8, 24));
+        let (side, cap) = (fit.options.longest_side(), fit.options.most_gaussians());
+        assert!((500..1_000).contains(&side), "{side}");
+        let kept = f64::from(cap) / 1e6 / (f64::from(side) / 1e3).powi(2);
+        assert!((kept - 1.0).abs() < 0.01, "{kept}");
     }
 
     #[test]

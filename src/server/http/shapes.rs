@@ -134,8 +134,8 @@ pub struct Job {
     /// All options.
     #[schema(value_type = Object)]
     pub options: Value,
-    /// What the option `detail=auto` became on the machine that trains; absent before it has
-    /// decided, and if the options name the detail.
+    /// The detail that the training machine chose for `detail=auto`; absent before it has chosen,
+    /// and if the options name the detail.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub detail: Option<ChosenDetail>,
     /// Duration of every finished stage.

@@ -10,9 +10,9 @@ pub enum Detail {
     /// `high` on a GPU with at least 6 GB of memory of its own, else `standard`; the machine that
     /// trains decides.
     Auto,
-    /// What a processor can train in minutes: 560 px, 30,000 Gaussians, 1,000 steps a round.
+    /// For a processor, which trains it in minutes: 560 px, 30,000 Gaussians, 1,000 steps a round.
     Standard,
-    /// What a GPU can: 1,600 px, 1,000,000 Gaussians, 3,500 steps a round. Without a GPU it is
+    /// For a GPU: 1,600 px, 1,000,000 Gaussians, 3,500 steps a round. Without a GPU it is
     /// refused unless `adapter` names the device.
     High,
 }
