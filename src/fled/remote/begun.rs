@@ -79,11 +79,19 @@ impl Begun {
     /// Forgets them, because a job has used them up, or they were deleted.
     pub fn forget(&mut self) {
         self.ids.clear();
-        if let Some(Kept { path, file }) = self.kept.take() {
+        if let Some(kept) = self.kept.take() {
             // Emptied, too, for a command that has opened it. Uploads that are gone begin anew.
-            let _ = file.set_len(0);
-            let _ = std::fs::remove_file(path);
+            let _ = kept.file.set_len(0);
+            let _ = std::fs::remove_file(&kept.path);
         }
+    }
+}
+
+impl Drop for Kept {
+    /// Closing the file would not do: a child process that another thread is starting holds a copy
+    /// of it, and with it the lock, until its program runs.
+    fn drop(&mut self) {
+        let _ = self.file.unlock();
     }
 }
 
