@@ -3,17 +3,29 @@
 // Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word). Writes
 // derivatives [3, H, W] (by three moments, one unused) and similarity_sums [invocations]. Dispatch:
 // 3 blocks_x blocks_y invocations.
-// S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2)), moments zero-padded.
+// S = (2 mx my + C1)(2 sxy + c2) / ((mx^2 + my^2 + C1)(sxx + syy + c2)), moments zero-padded, c2 =
+// C2 + 2 s^2 with s the standard deviation of the target's noise at the brightness my.
 #import shared/grid.wgsl
 #import shared/loss.wgsl
 
 const WIDTH: u32 = 32;
 
+// Levels of brightness at which the noise is known: the middles of equal parts of 0..=1.
+const LEVELS: u32 = 16u;
+
+struct NoiseUniform {
+    // Changes of the slope of its standard deviation at the levels.
+    bends: array<vec4<f32>, 4>,
+    // The deviation at the first level.
+    first: f32,
+}
+
 @group(0) @binding(0) var<uniform> size: LossUniform;
-@group(0) @binding(1) var<storage, read> prediction: array<f32>;
-@group(0) @binding(2) var<storage, read> truth: array<u32>;
-@group(0) @binding(3) var<storage, read_write> derivatives: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> similarity_sums: array<f32>;
+@group(0) @binding(1) var<uniform> noise: NoiseUniform;
+@group(0) @binding(2) var<storage, read> prediction: array<f32>;
+@group(0) @binding(3) var<storage, read> truth: array<u32>;
+@group(0) @binding(4) var<storage, read_write> derivatives: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> similarity_sums: array<f32>;
 
 // x, y, x^2 + y^2 and x y of a column; zero outside of the row.
 fn products(first: u32, column: u32, y: f32, block: Block) -> vec4<f32> {
@@ -71,13 +83,25 @@ fn blurred_row(block: Block, y: u32) -> mat4x4<f32> {
     );
 }
 
+// Standard deviation of the noise where the target has this mean.
+fn deviation_at(mean: f32) -> f32 {
+    var deviation = noise.first;
+    for (var n = 0u; n < LEVELS; n++) {
+        let level = (f32(n) + 0.5) / f32(LEVELS);
+        deviation += noise.bends[n / 4u][n % 4u] * max(mean - level, 0.0);
+    }
+    return max(deviation, 0.0);
+}
+
 // Similarity, and its derivatives by mx, by the mean of x^2, and by the mean of x y.
 fn similarity(m: vec4<f32>) -> vec4<f32> {
+    let deviation = deviation_at(m.y);
+    let c2 = C2 + 2.0 * deviation * deviation;
     let a1 = 2.0 * m.x * m.y + C1;
-    let a2 = 2.0 * (m.w - m.x * m.y) + C2;
+    let a2 = 2.0 * (m.w - m.x * m.y) + c2;
     let square = m.x * m.x + m.y * m.y;
     let b1 = square + C1;
-    let b2 = m.z - square + C2;
+    let b2 = m.z - square + c2;
     let inverse = 1.0 / (b1 * b2);
     let s = a1 * a2 * inverse;
     let by_mean = 2.0 * m.y * (a2 - a1) * inverse + 2.0 * m.x * s * (b1 - b2) * inverse;

@@ -23,6 +23,7 @@ pub mod given_poses;
 pub mod inference;
 pub mod metrics;
 pub mod noise;
+pub mod noise_levels;
 pub mod pipeline;
 pub mod poses;
 mod random;

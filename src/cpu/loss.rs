@@ -1,16 +1,19 @@
 //! The loss of a training step, a weighted sum of the mean absolute error and of 1 - SSIM, and its
 //! gradient.
 //!
-//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded. Bands of rows are tasks:
-//! each blurs its rows and five more on either side horizontally, then vertically.
+//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded. Its second constant grows
+//! with the noise of the target. Bands of rows are tasks: each blurs its rows and five more on
+//! either side horizontally, then vertically.
 
 mod blur;
+mod noise;
 
 use fearless_simd::prelude::*;
 use rayon::prelude::*;
 
 use crate::simd::{F, LANES, each, load, load_some, ramp, splat, store_some, sum, vectorised};
 use blur::Blurred;
+pub use noise::{LEVELS, Noise};
 
 /// (0.01)^2 and (0.03)^2 of Wang et al. 2004, data range 1.
 const C1: f32 = 1e-4;
@@ -48,12 +51,23 @@ pub struct Loss {
     filled: Vec<f32>,
 }
 
+/// A photograph that a prediction is compared with.
+#[derive(Clone, Copy, Debug)]
+pub struct Target<'a> {
+    /// Planar [3, height, width], in units of 1/65535.
+    pub values: &'a [u16],
+    /// Width and height, px.
+    pub size: [usize; 2],
+    pub noise: &'a Noise,
+}
+
 /// One channel of an image and of its target, with the size in px.
 #[derive(Clone, Copy)]
 struct Plane<'a> {
     prediction: &'a [f32],
     target: &'a [u16],
     size: [usize; 2],
+    noise: &'a Noise,
 }
 
 impl<'a> Plane<'a> {
@@ -74,16 +88,16 @@ fn unpacked(value: u16) -> f32 {
 }
 
 impl Loss {
-    /// The means for a prediction, planar [3, height, width], and a target of the same shape in
-    /// units of 1/65535. Overwrites `gradient` with the derivative of the loss by the prediction.
+    /// The means for a prediction, planar [3, height, width]. Overwrites `gradient` with the
+    /// derivative of the loss by the prediction.
     pub fn run(
         &mut self,
         prediction: &[f32],
-        target: &[u16],
-        size: [usize; 2],
+        target: Target<'_>,
         shares: Shares,
         gradient: &mut [f32],
     ) -> LossMeans {
+        let Target { values: target, size, noise } = target;
         let [width, height] = size;
         let (pixels, row) = (width * height, 3 * stride(width));
         if pixels == 0 {
@@ -92,8 +106,12 @@ impl Loss {
         self.derivatives.resize(3 * height * row, 0.0);
         let planes: Vec<_> =
             prediction.chunks_exact(pixels).zip(target.chunks_exact(pixels)).collect();
-        let planes =
-            planes.into_iter().map(|(prediction, target)| Plane { prediction, target, size });
+        let planes = planes.into_iter().map(|(prediction, target)| Plane {
+            prediction,
+            target,
+            size,
+            noise,
+        });
         let planes: Vec<_> = planes.collect();
         let tasks = bands(&planes, &mut self.derivatives, height * row, BAND * row);
         let similarities: Vec<f64> = tasks
@@ -131,17 +149,17 @@ impl Loss {
     pub fn run_masked(
         &mut self,
         prediction: &[f32],
-        (target, kept): (&[u16], &[bool]),
-        size: [usize; 2],
+        target: Target<'_>,
+        kept: &[bool],
         shares: Shares,
         gradient: &mut [f32],
     ) -> LossMeans {
         let mut filled = std::mem::take(&mut self.filled);
         filled.clear();
         let masked = || kept.iter().cycle();
-        let pairs = prediction.iter().zip(target).zip(masked());
+        let pairs = prediction.iter().zip(target.values).zip(masked());
         filled.extend(pairs.map(|((p, t), kept)| if *kept { *p } else { unpacked(*t) }));
-        let means = self.run(&filled, target, size, shares, gradient);
+        let means = self.run(&filled, target, shares, gradient);
         self.filled = filled;
         let outside = gradient.iter_mut().zip(masked()).filter(|(_, kept)| !**kept);
         outside.for_each(|(gradient, _)| *gradient = 0.0);
@@ -197,7 +215,7 @@ fn similarity_band<S: Simd>(
         for x in (0..width).step_by(LANES) {
             let moments = each!([0, 1, 2, 3] n => blurred.at(simd, n, row, x));
             let inside = (ramp(simd) + x as f32).simd_lt(width as f32);
-            let values = similarity(moments);
+            let values = similarity(moments, plane.noise.at(moments[1]));
             let zero = splat(simd, 0.0);
             row_sum += inside.select(values[0], zero);
             for n in 0..3 {
@@ -212,16 +230,17 @@ fn similarity_band<S: Simd>(
 }
 
 /// Similarity, and its derivatives by the means of x, x^2 and x y, from the means of x, y,
-/// x^2 + y^2 and x y.
+/// x^2 + y^2 and x y, and from the standard deviation of the noise of y.
 #[inline(always)]
-fn similarity<S: Simd>([x, y, squares, product]: [F<S>; 4]) -> [F<S>; 4] {
+fn similarity<S: Simd>([x, y, squares, product]: [F<S>; 4], noise: F<S>) -> [F<S>; 4] {
     let one = splat(x.witness(), 1.0);
+    let c2 = (noise * 2.0).mul_add(noise, splat(x.witness(), C2));
     let both = x * y;
     let a1 = both * 2.0 + C1;
-    let a2 = (product - both) * 2.0 + C2;
+    let a2 = (product - both) * 2.0 + c2;
     let square = x.mul_add(x, y * y);
     let b1 = square + C1;
-    let b2 = squares - square + C2;
+    let b2 = squares - square + c2;
     let inverse = one / (b1 * b2);
     let s = a1 * a2 * inverse;
     let by_mean = (y * (a2 - a1) + x * s * (b1 - b2)) * inverse * 2.0;

@@ -5,7 +5,7 @@ use std::sync::atomic::Ordering::Relaxed;
 use crate::View;
 use crate::bins::Bins;
 use crate::blend::{Canvas, SlotSums};
-use crate::loss::{Loss, Shares};
+use crate::loss::{Loss, Noise, Shares, Target};
 use crate::noise::{NoiseField, PARAMETERS};
 use crate::population::{Population, column};
 use crate::project::Projection;
@@ -62,6 +62,7 @@ fn steps() -> Vec<u32> {
     let light = std::array::from_fn(|n| (n as f32 / (KNOTS - 1) as f32).powi(2));
     let response = Response::new(&light);
     let shares = Shares { absolute: 0.8, similarity: 0.2 };
+    let noise = Noise::new(std::array::from_fn(|n| 0.2 / (n + 1) as f32));
     let step = Step {
         rates: [1e-3; 4],
         rate_sh0: 1e-3,
@@ -77,7 +78,8 @@ fn steps() -> Vec<u32> {
         bins.run(&projection, view.size);
         canvas.run(&projection, &bins, &view);
         shake.forward(&canvas.image, &kernel, &response);
-        loss.run(&shake.blurred, &target, view.size, shares, &mut gradient);
+        let target = Target { values: &target, size: view.size, noise: &noise };
+        loss.run(&shake.blurred, target, shares, &mut gradient);
         shake.backward(&canvas.image, &gradient, &kernel, &response, [1e-6, 0.02]);
         sums.run(&projection, &bins, &canvas, &shake.render_gradient, &view);
         Blended { view: &view, bins: &bins, sums: &sums }.update(&mut population, &step);

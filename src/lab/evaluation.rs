@@ -187,6 +187,7 @@ fn register(
                 camera: *camera,
                 image: fit.apply(&view.photograph),
                 mask: None,
+                noise: None,
                 has_kernel: false,
             });
         }

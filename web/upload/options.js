@@ -11,7 +11,7 @@ const GROUPS = {
   Poses: ["pose_source", "refine_poses", "late_views"],
 };
 /** Options that compare methods or choose machines; only for the API and the command line. */
-const UNASKED = ["adapter", "detail", "lut_scope", "enhance", "noise", "schedule", "key_points"];
+const UNASKED = ["adapter", "detail", "lut_scope", "enhance", "noise", "loss", "schedule", "key_points"];
 const PRESETS = {
   auto: "auto: high with a good GPU, else standard",
   preview: "preview: a quick look",

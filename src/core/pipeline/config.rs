@@ -16,7 +16,7 @@ use crate::reading::read;
 pub use crate::reconstruct::{Background, Densify, Pace};
 pub use detail::Detail;
 pub use setting::Setting;
-pub use shake::{ShakeModel, TrainOn};
+pub use shake::{LossModel, ShakeModel, TrainOn};
 
 /// Configuration of a run. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -60,6 +60,8 @@ pub struct Options {
     pub shake: ShakeModel,
     /// Which views the scene is trained on.
     pub train_on: TrainOn,
+    /// How training compares renders with photographs.
+    pub loss: LossModel,
     /// Whether the renders correct the cameras, including those of held-out views, which are not
     /// trained on.
     pub refine_poses: bool,
@@ -243,6 +245,7 @@ impl Preset {
             noise: NoiseMode::Off,
             shake: ShakeModel::Late,
             train_on: TrainOn::Auto,
+            loss: LossModel::NoiseAware,
             refine_poses: true,
             late_views: true,
             start: Start::Warm,
@@ -288,6 +291,7 @@ fn paper(standard: Options) -> Options {
         noise: NoiseMode::Paper,
         shake: ShakeModel::Off,
         train_on: TrainOn::Deblurred,
+        loss: LossModel::Plain,
         refine_poses: false,
         late_views: false,
         // The paper does not say: whether a round goes on from the previous one's scene. Algorithm

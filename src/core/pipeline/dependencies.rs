@@ -37,6 +37,7 @@ const RECONSTRUCT: &[&str] = &[
     "noise",
     "shake",
     "train_on",
+    "loss",
     "refine_poses",
     "start",
     "schedule",

@@ -149,6 +149,7 @@ fn measure(
         records: records::records(views, &comparisons),
         views: by_view::rows(views, unregistered, &comparisons, &likenesses),
         noise_map: training.noise,
+        expected_noise: training.expected_noise,
         kernels: training.kernels,
         shake_px: training.shake_px,
         pose_correction_px: training.pose_correction_px,

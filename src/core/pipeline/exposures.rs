@@ -439,6 +439,7 @@ fn trained(
                 Some(mask) => mask.and(&kept),
                 None => kept,
             }),
+            noise: None,
             has_kernel: false,
         }
     };

@@ -15,6 +15,7 @@ use super::dependencies::Dependencies;
 use super::error::PipelineError;
 use super::round::Round;
 use super::tone::Tone;
+use super::training_images::TrainingImage;
 use super::views::View;
 use super::workspace::Workspace;
 use crate::camera::{Camera, Split};
@@ -51,6 +52,10 @@ pub struct Training {
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field.
     pub noise: Option<NoiseMapStatistics>,
+    /// Standard deviation of the noise that the loss expected, mean over the pixels of the training
+    /// views; `None` if it expected none.
+    #[serde(default)]
+    pub expected_noise: Option<f64>,
     /// Training views with a kernel.
     #[serde(default)]
     pub kernels: u32,
@@ -85,7 +90,7 @@ pub struct TrainingData<'a> {
     /// All views, with their cameras and splits.
     pub views: &'a [View],
     /// H_i, D_i or their mean (`train_on`), in the order of the views. Training takes them out.
-    pub images: Vec<Image>,
+    pub images: Vec<TrainingImage>,
     /// Which views have a kernel, in the same order.
     pub with_kernel: &'a [bool],
     /// H_i, for the live scores.
@@ -202,7 +207,7 @@ fn train_start(
     let cameras: Vec<Camera> = data.views.iter().map(|view| view.camera).collect();
     let pictures = data.views.iter().zip(&data.images);
     let training = pictures.filter(|(view, _)| view.split == Split::Train);
-    let seen = training.map(|(view, image)| (&view.camera, image, view.mask.as_ref()));
+    let seen = training.map(|(view, seen)| (&view.camera, &seen.image, view.mask.as_ref()));
     let points = points::coloured(data.poses, seen);
     let (cap, schedule) = (config.cap, config.schedule());
     let first = reconstruct::initialise(&points, &cameras, cap, &schedule);
@@ -319,6 +324,7 @@ fn with_cameras(
         between: Some(trained.between),
         non_finite_gradients: trained.non_finite_gradients,
         noise: trained.noise,
+        expected_noise: trained.expected_noise,
         kernels: trained.kernels,
         shake_px: trained.shake_px,
         cameras,
@@ -334,11 +340,12 @@ fn training_views(data: &mut TrainingData<'_>, split: Split) -> Vec<TrainingView
         .zip(&mut data.images)
         .zip(data.with_kernel)
         .filter(|((view, _), _)| view.split == split)
-        .map(|((view, image), &has_kernel)| TrainingView {
+        .map(|((view, training), &has_kernel)| TrainingView {
             has_kernel,
+            noise: training.noise,
             name: view.name.clone(),
             camera: view.camera,
-            image: std::mem::replace(image, Image::new(0, 0)),
+            image: std::mem::replace(&mut training.image, Image::new(0, 0)),
             mask: view.mask.clone(),
         })
         .collect()

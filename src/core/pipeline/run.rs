@@ -195,7 +195,7 @@ fn round(
     let with_kernel = effective.kernels(views, known);
     let trained = trained_on(options, round, views, &with_kernel, [&enhanced, &deblurred]);
     training_images::report(context, round.number, views, &with_kernel, &trained);
-    let images = training_images(&trained, &enhanced, &deblurred, &round.response);
+    let images = training_images(options, &trained, [&enhanced, &deblurred], &round.response);
     drop(deblurred); // Training has its own: a picture a view that it would keep in memory.
     let data = TrainingData {
         round,

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::config::{Options, ShakeModel, TrainOn};
+use super::config::{LossModel, Options, ShakeModel, TrainOn};
 use super::context::Context;
 use super::round::Round;
 use super::shaken;
@@ -10,6 +10,7 @@ use super::views::{View, masks};
 use crate::camera::Split;
 use crate::deblur::NetworkChoice;
 use crate::image::Image;
+use crate::noise_levels::NoiseLevels;
 use crate::shake::{Response, denoised};
 
 /// The image on which a view trains.
@@ -51,18 +52,39 @@ pub fn trained_on(
     with_kernel.iter().enumerate().map(of).collect()
 }
 
+/// An image on which a view trains.
+#[derive(Clone, Debug)]
+pub struct TrainingImage {
+    pub image: Image,
+    /// Its noise; `None` where it is not known or the loss does not ask for it.
+    pub noise: Option<NoiseLevels>,
+}
+
 /// The training images of the views, encoded by the round's `response`.
 pub fn training_images(
+    options: &Options,
     trained_on: &[TrainedOn],
-    enhanced: &[Image],
-    deblurred: &[Image],
+    [enhanced, deblurred]: [&[Image]; 2],
     response: &Response,
-) -> Vec<Image> {
-    let of = |((enhanced, deblurred), on): ((&Image, &Image), &TrainedOn)| match on {
-        TrainedOn::Enhanced => enhanced.clone(),
-        TrainedOn::Denoised => denoised(enhanced, deblurred, response),
-        TrainedOn::Deblurred => deblurred.clone(),
-        TrainedOn::Mean => mean(enhanced, deblurred),
+) -> Vec<TrainingImage> {
+    let is_known =
+        options.loss == LossModel::NoiseAware && options.deblur != NetworkChoice::Identity;
+    let of = |((enhanced, deblurred), on): ((&Image, &Image), &TrainedOn)| {
+        let against_clean = |image: Image| {
+            let noise = NoiseLevels::between(&image, deblurred);
+            (image, Some(noise))
+        };
+        let (image, noise) = match on {
+            TrainedOn::Enhanced => against_clean(enhanced.clone()),
+            TrainedOn::Denoised => {
+                let (image, noise) = denoised(enhanced, deblurred, response);
+                (image, Some(noise))
+            }
+            // The faults that a network leaves are no noise.
+            TrainedOn::Deblurred => (deblurred.clone(), None),
+            TrainedOn::Mean => against_clean(mean(enhanced, deblurred)),
+        };
+        TrainingImage { image, noise: noise.filter(|_| is_known) }
     };
     enhanced.par_iter().zip(deblurred).zip(trained_on).map(of).collect()
 }
@@ -110,6 +132,7 @@ pub(super) mod tests {
     use crate::shake::reference::shaken_image;
     use crate::shake::{ShakeKernel, Tap};
     use glam::DVec3;
+    use rand::{RngExt, SeedableRng};
 
     /// Discs of many sizes.
     fn sharp() -> Image {
@@ -167,10 +190,39 @@ pub(super) mod tests {
     #[test]
     fn training_images_are_enhanced_deblurred_or_between() {
         let [dark, bright] = [0.2, 0.6].map(|value| [sharp().map(|_| value)]);
-        let of = |on| training_images(&[on], &dark, &bright, &Response::srgb());
-        let value = |on| of(on)[0].data()[7];
+        let options = Options::default();
+        let of = |on| training_images(&options, &[on], [&dark, &bright], &Response::srgb());
+        let value = |on| of(on)[0].image.data()[7];
         assert_eq!(value(TrainedOn::Enhanced), 0.2);
         assert_eq!(value(TrainedOn::Deblurred), 0.6);
         assert!((value(TrainedOn::Mean) - 0.4).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_noise_of_a_mean_is_half_of_that_of_the_photograph() {
+        let clean = sharp();
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(3);
+        let mut photograph = clean.clone();
+        for value in photograph.data_mut() {
+            *value += 0.1 * ((0..12).map(|_| random.random::<f32>()).sum::<f32>() - 6.0);
+        }
+        let photographs = [photograph];
+        let deblurred = [clean];
+        let of = |options: &Options, on| {
+            let both: [&[Image]; 2] = [&photographs, &deblurred];
+            training_images(options, &[on], both, &Response::srgb())[0].noise
+        };
+        let usual = Options::default();
+        let found = of(&usual, TrainedOn::Mean).expect("measured").at(0.2);
+        assert!((found - 0.05).abs() < 0.003, "{found}");
+        let left = of(&usual, TrainedOn::Denoised).expect("measured").at(0.2);
+        assert!(left > 0.0 && left < 0.02, "{left}");
+        assert_eq!(of(&usual, TrainedOn::Deblurred), None);
+        let plain = Options { loss: LossModel::Plain, ..Options::default() };
+        let network_less = Options { deblur: NetworkChoice::Identity, ..Options::default() };
+        assert_eq!(
+            [&plain, &network_less].map(|options| of(options, TrainedOn::Mean)),
+            [None, None]
+        );
     }
 }

@@ -39,6 +39,15 @@ impl<'a> ForwardModel<'a> {
         self.views.iter_mut().for_each(|view| view.reduce(divisor));
     }
 
+    /// Standard deviation of the noise of the views at full size, mean over their pixels; `None`
+    /// if that of none is known.
+    pub(super) fn expected_noise(&self) -> Option<f64> {
+        let views = self.views.iter().map(Observed::given);
+        let known = views.filter_map(|view| Some(view.noise?.mean_over(&view.image)));
+        let known: Vec<f64> = known.collect();
+        (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+    }
+
     /// The views' current cameras, at the full size of their images.
     pub(super) fn cameras(&self) -> Vec<Camera> {
         self.views.iter().map(Observed::full_camera).collect()

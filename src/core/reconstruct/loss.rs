@@ -1,14 +1,18 @@
 //! The loss of a training step, `0.8 mean|p - t| + 0.2 (1 - mean SSIM(p, t))`, and its gradient.
 //!
+//! Differs from the paper where the noise of a target is known: SSIM's second constant grows by
+//! twice the variance of the noise at the brightness of the window (docs/decisions/trainer.md).
+//! Without it, SSIM compares contrasts of windows that are mostly noise.
+//!
 //! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as in published trainers
 //! (the metrics use the valid region only, so the two numbers differ). The gradient is written
 //! directly; the value stays on the device until it is read.
 //!
 //! ```no_run
-//! # use fled_core::{image::Image, reconstruct::loss::{Loss, upload_target}};
+//! # use fled_core::{image::Image, reconstruct::loss::{GpuTarget, Loss, Noise}};
 //! # fn main() -> Result<(), fled_gpu::GpuError> {
 //! # let (gpu, image) = (fled_gpu::Gpu::new("auto")?, Image::new(280, 160));
-//! let target = upload_target(&gpu, &image)?;                        // once per view and size
+//! let target = GpuTarget::upload(&gpu, &image, &Noise::NONE)?;      // once per view and size
 //! let loss = Loss::new(&gpu, 280, 160)?;                            // once per size
 //! let prediction = gpu.create::<f32>("prediction", 3 * 280 * 160)?; // planar [3, H, W]
 //! let gradient = gpu.create::<f32>("gradient", 3 * 280 * 160)?;     // the same; overwritten
@@ -23,10 +27,12 @@
 pub mod reference;
 
 use bytemuck::{Pod, Zeroable};
+pub use fled_cpu::loss::Noise;
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
 use crate::image::Image;
 use crate::mask::Mask;
+use crate::noise_levels::LEVELS;
 
 /// Weight of the mean absolute error; the usual share for splats.
 pub const L1_SHARE: f64 = 0.8;
@@ -45,6 +51,7 @@ const SIMILARITY: Kernel = Kernel::new(
     "train/loss_similarity",
     &[
         uniform("size"),
+        uniform("noise"),
         read("prediction"),
         read("truth"),
         read_write("derivatives"),
@@ -84,6 +91,22 @@ struct LossUniform {
     l1_weight: f32,
     ssim_weight: f32,
     values: u32,
+}
+
+/// `NoiseUniform` of shaders/shared/loss.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+struct NoiseUniform {
+    bends: [f32; LEVELS],
+    first: f32,
+    pad: [u32; 3],
+}
+
+impl NoiseUniform {
+    fn new(noise: &Noise) -> Self {
+        let Noise { first, bends } = *noise;
+        Self { bends, first, pad: [0; 3] }
+    }
 }
 
 impl LossUniform {
@@ -159,9 +182,9 @@ impl Loss {
         Ok(())
     }
 
-    /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from
-    /// [`upload_target`]), and overwrites `gradient` ([3, H, W]) with the derivative of the loss by
-    /// the prediction. Buffers may be longer than the image.
+    /// Records the loss of `prediction` (planar [3, H, W]) against `target`, and overwrites
+    /// `gradient` ([3, H, W]) with the derivative of the loss by the prediction. Buffers may be
+    /// longer than the image.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when a buffer is shorter than the image; a device error.
@@ -169,11 +192,12 @@ impl Loss {
         &self,
         recorder: &mut Recorder,
         prediction: &Buffer<f32>,
-        target: &Buffer<u32>,
+        target: &GpuTarget,
         gradient: &Buffer<f32>,
     ) -> Result<(), GpuError> {
         let values = self.layout.values as usize;
-        let lengths = [prediction.len(), 2 * target.len(), gradient.len()];
+        let GpuTarget { values: truth, noise } = target;
+        let lengths = [prediction.len(), 2 * truth.len(), gradient.len()];
         if lengths.iter().any(|&length| length < values) {
             return Err(GpuError::Validation(format!(
                 "a loss of {values} values on buffers of {lengths:?}"
@@ -182,12 +206,12 @@ impl Loss {
         let invocations = self.layout.invocations();
         recorder.dispatch_items(
             &SIMILARITY,
-            &[&self.size, prediction, target, &self.derivatives, &self.similarity_sums],
+            &[&self.size, noise, prediction, truth, &self.derivatives, &self.similarity_sums],
             invocations,
         )?;
         recorder.dispatch_items(
             &GRADIENT,
-            &[&self.size, prediction, target, &self.derivatives, gradient, &self.error_sums],
+            &[&self.size, prediction, truth, &self.derivatives, gradient, &self.error_sums],
             invocations,
         )
     }
@@ -203,7 +227,7 @@ impl Loss {
         &self,
         recorder: &mut Recorder,
         prediction: &Buffer<f32>,
-        [target, kept]: [&Buffer<u32>; 2],
+        (target, kept): (&GpuTarget, &Buffer<u32>),
         gradient: &Buffer<f32>,
     ) -> Result<(), GpuError> {
         let values = self.layout.values as usize;
@@ -212,7 +236,8 @@ impl Loss {
                 "a masked loss of {values} values without room for them"
             )));
         };
-        recorder.dispatch_items(&FILL, &[&self.size, prediction, target, kept, filled], values)?;
+        let truth = &target.values;
+        recorder.dispatch_items(&FILL, &[&self.size, prediction, truth, kept, filled], values)?;
         self.record(recorder, filled, target, gradient)?;
         recorder.dispatch_items(&MASK_GRADIENT, &[&self.size, kept, gradient], values)
     }
@@ -263,12 +288,22 @@ pub fn upload_mask(gpu: &Gpu, mask: &Mask) -> Result<Buffer<u32>, GpuError> {
     gpu.upload("mask", &pack_mask(mask))
 }
 
-/// [`pack_target`] into a buffer.
-///
-/// # Errors
-/// A device error.
-pub fn upload_target(gpu: &Gpu, image: &Image) -> Result<Buffer<u32>, GpuError> {
-    gpu.upload("target", &pack_target(image))
+/// A photograph on the device, with its noise.
+pub struct GpuTarget {
+    /// From [`pack_target`].
+    values: Buffer<u32>,
+    noise: Buffer<NoiseUniform>,
+}
+
+impl GpuTarget {
+    /// # Errors
+    /// A device error.
+    pub fn upload(gpu: &Gpu, image: &Image, noise: &Noise) -> Result<Self, GpuError> {
+        Ok(Self {
+            values: gpu.upload("target", &pack_target(image))?,
+            noise: gpu.upload("noise", &[NoiseUniform::new(noise)])?,
+        })
+    }
 }
 
 #[cfg(test)]

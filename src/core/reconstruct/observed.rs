@@ -1,12 +1,23 @@
 //! The state of one view while its photograph is compared with renders.
 
+use fled_cpu::loss::Noise;
+
 use super::TrainingView;
 use super::schedule::reduced_size;
 use crate::camera::Camera;
 use crate::image::Image;
 use crate::mask::Mask;
+use crate::noise_levels::NoiseLevels;
 use crate::register::Motion;
 use crate::shake::ShakeKernel;
+
+/// What the loss compares the renders of a view with.
+pub(super) struct Target {
+    pub(super) image: Image,
+    /// The pixels that count; all without one.
+    pub(super) mask: Option<Mask>,
+    pub(super) noise: Noise,
+}
 
 /// One view as given, and the model of its camera and shake.
 pub(super) struct Observed<'a> {
@@ -76,13 +87,24 @@ impl<'a> Observed<'a> {
         self.given.mask.as_ref().map(|mask| mask.resized(width, height))
     }
 
-    /// The photograph for the loss, black where it is masked, and its mask.
-    pub(super) fn target(&self) -> (Image, Option<Mask>) {
+    /// The photograph for the loss, black where it is masked.
+    pub(super) fn target(&self) -> Target {
         let size = self.size();
         let (photograph, mask) = (self.photograph(size), self.mask(size));
         // Windows at the border of a mask would see the colours behind it.
         let black = || Image::new(size[0], size[1]);
         let shown = mask.as_ref().map(|mask| mask.composite(&photograph, &black()));
-        (shown.unwrap_or(photograph), mask)
+        let noise = self.noise(&photograph);
+        Target { image: shown.unwrap_or(photograph), mask, noise }
+    }
+
+    /// The noise of the photograph at this size: a mean of pixels has as much less noise as its
+    /// side is shorter.
+    fn noise(&self, photograph: &Image) -> Noise {
+        let Some(NoiseLevels(deviations)) = self.given.noise else {
+            return Noise::NONE;
+        };
+        let scale = photograph.width() as f32 / self.given.image.width() as f32;
+        Noise::new(deviations.map(|deviation| deviation * scale))
     }
 }

@@ -10,6 +10,7 @@ use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::mask::Mask;
 use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
+use crate::noise_levels::NoiseLevels;
 
 /// One training image.
 #[derive(Clone, Debug)]
@@ -22,6 +23,8 @@ pub struct TrainingView {
     pub image: Image,
     /// The pixels that count; all without one.
     pub mask: Option<Mask>,
+    /// The noise of the image; none is assumed without it.
+    pub noise: Option<NoiseLevels>,
     /// Whether a kernel may explain its shake, if the round has kernels.
     pub has_kernel: bool,
 }
@@ -84,6 +87,9 @@ pub struct Trained {
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field; `None` without one.
     pub noise: Option<NoiseMapStatistics>,
+    /// Standard deviation of the noise that the loss expected, mean over the pixels of the views;
+    /// `None` if it expected none.
+    pub expected_noise: Option<f64>,
     /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None`
     /// without shake.
     pub shake_px: Option<f64>,

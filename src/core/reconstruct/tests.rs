@@ -1,6 +1,7 @@
 mod devices;
 mod explained;
 mod interrupted;
+mod noisy;
 
 use fled_gpu::Gpu;
 use glam::DVec3;
@@ -68,6 +69,7 @@ fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<Training
     let view = |(n, &angle): (usize, &f64)| {
         let camera = camera_at(angle, size[0], size[1]);
         TrainingView {
+            noise: None,
             has_kernel: true,
             name: format!("{n}"),
             camera,

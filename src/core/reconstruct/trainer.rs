@@ -206,6 +206,7 @@ impl<'a> Trainer<'a> {
             between: self.seconds_between,
             non_finite_gradients: u64::from(state.non_finite),
             noise: mean_statistics(&self.noise_seen),
+            expected_noise: self.model.expected_noise(),
             shake_px: self.model.mean_spread(),
             kernels: self.model.explained(),
             cameras: self.model.cameras(),

@@ -8,12 +8,12 @@ mod state;
 use fled_gpu::GpuError;
 
 use super::densify::Plan;
+use super::observed::Target;
 use super::optimizer::StepUniform;
 use crate::camera::Camera;
 use crate::device::{Device, Scene};
 use crate::gaussians::Gaussians;
 use crate::image::Image;
-use crate::mask::Mask;
 use crate::noise::{Inspection, StateError};
 use crate::shake::{Response, ShakeKernel};
 use crate::splat::rows::GeometryRow;
@@ -63,19 +63,14 @@ pub(super) trait Training: Scene {
     /// A device error, like all below.
     fn look(&mut self, camera: &Camera, degree: u32) -> Result<Image, GpuError>;
 
-    /// Changes the sizes of the views in px, and discards their photographs.
+    /// Changes the sizes of the views in px, and discards their targets.
     fn set_sizes(&mut self, sizes: &[[usize; 2]]) -> Result<(), GpuError>;
 
-    /// Whether a view has a photograph.
-    fn has_photograph(&self, view: usize) -> bool;
+    /// Whether a view has a target.
+    fn has_target(&self, view: usize) -> bool;
 
-    /// Sets the photograph of a view, at its size, with the pixels that count; all without a mask.
-    fn set_photograph(
-        &mut self,
-        view: usize,
-        photograph: &Image,
-        mask: Option<&Mask>,
-    ) -> Result<(), GpuError>;
+    /// Sets the target of a view, at its size.
+    fn set_target(&mut self, view: usize, target: &Target) -> Result<(), GpuError>;
 
     /// Starts a step.
     fn submit(&mut self, step: &Step<'_>) -> Result<(), GpuError>;

@@ -125,6 +125,7 @@ fn view(number: usize, camera: Camera) -> TrainingView {
         camera,
         image: Image::from_planar(width, height, planes),
         mask: None,
+        noise: None,
         has_kernel: true,
     }
 }

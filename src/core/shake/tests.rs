@@ -310,10 +310,12 @@ fn denoising_keeps_shake_and_parts_that_deblurring_got_wrong() {
     let mut photograph = blurred.clone();
     let mut random = Pcg64Mcg::seed_from_u64(7);
     photograph.data_mut().iter_mut().for_each(|v| *v += (NOISE * normal(&mut random)) as f32);
-    let clean = denoised(&photograph, &sharp, &response);
+    let (clean, noise) = denoised(&photograph, &sharp, &response);
     let everywhere = |_, _| true;
     let left = difference(&clean, &blurred, everywhere);
     assert!(left < 0.75 * NOISE, "{left:.4}");
+    let share = f64::from(noise.at(0.5)) / NOISE;
+    assert!((share - (0.035 / NOISE).powi(2)).abs() < 0.1, "{share:.2} of the noise is left");
     let shake = difference(&sharp, &blurred, everywhere);
     assert!(left < 0.5 * shake, "{left:.4} of {shake:.4}: it is not sharpened");
     let mut wrong = sharp;
@@ -321,7 +323,7 @@ fn denoising_keeps_shake_and_parts_that_deblurring_got_wrong() {
     for (x, y) in (0..240 * 180).map(|at| (at % 240, at / 240)).filter(|&(x, y)| is_wrong(x, y)) {
         wrong.set(x, y, [0.9; 3]);
     }
-    let kept = difference(&denoised(&photograph, &wrong, &response), &blurred, is_wrong);
+    let kept = difference(&denoised(&photograph, &wrong, &response).0, &blurred, is_wrong);
     assert!(kept < 1.3 * NOISE, "{kept:.4}");
 }
 

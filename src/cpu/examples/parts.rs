@@ -10,7 +10,7 @@ use std::time::Instant;
 use fled_cpu::View;
 use fled_cpu::bins::Bins;
 use fled_cpu::blend::{Canvas, SlotSums};
-use fled_cpu::loss::{Loss, Shares};
+use fled_cpu::loss::{Loss, Noise, Shares, Target};
 use fled_cpu::noise::{self, NoiseField};
 use fled_cpu::population::{Population, column};
 use fled_cpu::project::Projection;
@@ -159,7 +159,8 @@ fn main() {
         timed(&mut || canvas.run(&projection, &bins, &view));
         timed(&mut || shake.forward(&canvas.image, &kernel, &response));
         timed(&mut || {
-            loss.run(&canvas.image, &target, view.size, shares, &mut gradient);
+            let target = Target { values: &target, size: view.size, noise: &Noise::NONE };
+            loss.run(&canvas.image, target, shares, &mut gradient);
         });
         timed(&mut || {
             shake.backward(&canvas.image, &gradient, &kernel, &response, [1e-7, 0.02]);

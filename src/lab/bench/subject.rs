@@ -10,7 +10,7 @@ use fled_core::cancel::CancelToken;
 use fled_core::device::Device;
 use fled_core::image::Image;
 use fled_core::reconstruct::Stepper;
-use fled_core::reconstruct::loss::{Loss, upload_target};
+use fled_core::reconstruct::loss::{GpuTarget, Loss, Noise};
 use fled_core::render::{Renderer, UploadedGaussians};
 use fled_core::splat::rasterize::SplatCounts;
 use fled_core::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
@@ -89,7 +89,8 @@ impl Similarity {
         let gradient = gpu.create("image gradient", prediction.len())?;
         let mut recorder = gpu.recorder();
         let loss = Loss::new(gpu, width, height)?;
-        loss.record(&mut recorder, &prediction, &upload_target(gpu, &image)?, &gradient)?;
+        let target = GpuTarget::upload(gpu, &image, &Noise::NONE)?;
+        loss.record(&mut recorder, &prediction, &target, &gradient)?;
         Ok(Self { gpu: gpu.clone(), recording: recorder.finish() })
     }
 }

@@ -61,6 +61,7 @@ impl Workload {
             let camera = camera(index, size);
             let image = renderer.render_scene(&uploaded, &camera)?;
             Ok(TrainingView {
+                noise: None,
                 has_kernel: true,
                 name: index.to_string(),
                 camera,
@@ -88,6 +89,7 @@ impl Workload {
             let file = folder.join("restored").join(format!("{}.png", named.name));
             let image = Image::load(&file)?.resize_area(k.width, k.height);
             Ok(TrainingView {
+                noise: None,
                 has_kernel: true,
                 name: named.name.clone(),
                 camera: normalisation.within(&named.camera()),

@@ -39,6 +39,7 @@ pub fn metrics(round: u32, names: &[String], plan: Option<&String>) -> RoundMetr
         clipped: 0.01,
         noise_ceiling_db: 30.0,
         noise_map: None,
+        expected_noise: Some(0.03),
         kernels: 3,
         shake_px: Some(0.4),
         pose_correction_px: Some(0.1),

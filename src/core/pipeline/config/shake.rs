@@ -1,4 +1,4 @@
-//! Options for the shake of views, and for what a scene is trained on.
+//! Options for the shake of views, and for what a scene is trained on and by which loss.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,6 +27,17 @@ pub enum TrainOn {
     Deblurred,
     /// The enhanced views, shaken and noisy as they are.
     Enhanced,
+}
+
+/// How training compares a render with a photograph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LossModel {
+    /// L1 and an SSIM that expects the noise of each photograph, measured against its deblurred
+    /// view.
+    NoiseAware,
+    /// L1 and SSIM, as in the paper.
+    Plain,
 }
 
 impl ShakeModel {

@@ -1,7 +1,21 @@
 mod processor;
 
+use reference::ReferenceNoise;
+
 use super::*;
 use crate::agreement::assert_agrees;
+
+/// Strong in the dark.
+const DEVIATIONS: [f32; LEVELS] = [
+    0.3, 0.2, 0.15, 0.11, 0.1, 0.09, 0.08, 0.07, 0.06, 0.05, 0.04, 0.03, 0.02, 0.008, 0.004, 0.002,
+];
+
+/// The noise of both forms: none, and some.
+fn noises() -> [(Noise, ReferenceNoise); 2] {
+    let noise = Noise::new(DEVIATIONS);
+    let reference = ReferenceNoise { deviations: DEVIATIONS.map(f64::from) };
+    [(Noise::NONE, ReferenceNoise::NONE), (noise, reference)]
+}
 
 fn gpu() -> Gpu {
     Gpu::new("auto").expect("the tests need a Vulkan adapter")
@@ -21,10 +35,10 @@ fn pictures(width: usize, height: usize) -> (Image, Image) {
 }
 
 /// Gradient and value by the kernels.
-fn on_device(prediction: &Image, target: &Image) -> (Vec<f32>, LossValue) {
+fn on_device(prediction: &Image, target: &Image, noise: &Noise) -> (Vec<f32>, LossValue) {
     let gpu = gpu();
     let loss = Loss::new(&gpu, target.width(), target.height()).expect("buffers");
-    let packed = upload_target(&gpu, target).expect("upload");
+    let packed = GpuTarget::upload(&gpu, target, noise).expect("upload");
     let input = gpu.upload("prediction", prediction.data()).expect("upload");
     let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
     let mut recorder = gpu.recorder();
@@ -44,17 +58,27 @@ fn as_f64(prediction: &Image, target: &Image) -> (Vec<f64>, Vec<f64>) {
 }
 
 /// The reference for the packed target.
-fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
+fn expected(
+    prediction: &Image,
+    target: &Image,
+    noise: &ReferenceNoise,
+) -> reference::ReferenceLoss {
     let (p, t) = as_f64(prediction, target);
-    reference::loss(&p, &t, target.width())
+    reference::loss(&p, &t, noise, target.width())
+}
+
+/// These sizes with each noise.
+fn all(sizes: &[(usize, usize)]) -> Vec<((usize, usize), (Noise, ReferenceNoise))> {
+    sizes.iter().flat_map(|&size| noises().map(|noise| (size, noise))).collect()
 }
 
 #[test]
 fn the_kernels_match_the_reference_at_odd_sizes() {
-    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
+    let sizes = [(281, 161), (13, 7), (3, 50)];
+    for ((width, height), (noise, by)) in all(&sizes) {
         let (prediction, target) = pictures(width, height);
-        let (gradient, value) = on_device(&prediction, &target);
-        let expected = expected(&prediction, &target);
+        let (gradient, value) = on_device(&prediction, &target, &noise);
+        let expected = expected(&prediction, &target, &by);
         assert_agrees(
             &format!("gradient at {width}x{height}"),
             &gradient,
@@ -84,23 +108,23 @@ fn mask(width: usize, height: usize) -> Mask {
 
 #[test]
 fn the_masked_kernels_match_the_reference_at_odd_sizes() {
-    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
+    for ((width, height), (noise, by)) in all(&[(281, 161), (13, 7), (3, 50)]) {
         let (prediction, target) = pictures(width, height);
         let mask = mask(width, height);
         let gpu = gpu();
         let mut loss = Loss::new(&gpu, width, height).expect("buffers");
         loss.make_masks(&gpu).expect("buffers");
-        let packed = upload_target(&gpu, &target).expect("upload");
+        let packed = GpuTarget::upload(&gpu, &target, &noise).expect("upload");
         let kept = upload_mask(&gpu, &mask).expect("upload");
         let input = gpu.upload("prediction", prediction.data()).expect("upload");
         let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
         let mut recorder = gpu.recorder();
-        let recorded = loss.record_masked(&mut recorder, &input, [&packed, &kept], &gradient);
+        let recorded = loss.record_masked(&mut recorder, &input, (&packed, &kept), &gradient);
         recorded.expect("recorded");
         recorder.submit().expect("submitted");
         let (gradient, value) = (gradient.read().expect("read"), loss.value().expect("read"));
         let (p, t) = as_f64(&prediction, &target);
-        let expected = reference::masked_loss(&p, &t, mask.pixels(), width);
+        let expected = reference::masked_loss(&p, (&t, mask.pixels()), &by, width);
         let what = format!("gradient at {width}x{height}");
         assert_agrees(&what, &gradient, &expected.gradient, 1e-3);
         assert!((value.total - expected.total()).abs() < 1e-5, "{value:?}, {}", expected.total());
@@ -113,12 +137,12 @@ fn the_masked_kernels_match_the_reference_at_odd_sizes() {
 fn a_masked_loss_needs_room_and_a_whole_mask() {
     let gpu = gpu();
     let loss = Loss::new(&gpu, 20, 10).expect("buffers");
-    let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
+    let target = GpuTarget::upload(&gpu, &Image::new(20, 10), &Noise::NONE).expect("upload");
     let kept = upload_mask(&gpu, &Mask::full(20, 10)).expect("upload");
     let values = gpu.create("values", 600).expect("buffer");
     let refused = |loss: &Loss, kept: &Buffer<u32>| {
         let mut recorder = gpu.recorder();
-        let recorded = loss.record_masked(&mut recorder, &values, [&target, kept], &values);
+        let recorded = loss.record_masked(&mut recorder, &values, (&target, kept), &values);
         matches!(recorded, Err(GpuError::Validation(_)))
     };
     assert!(refused(&loss, &kept));
@@ -131,16 +155,19 @@ fn a_masked_loss_needs_room_and_a_whole_mask() {
 #[test]
 fn the_comparison_detects_other_weights() {
     let (prediction, target) = pictures(33, 21);
-    let (gradient, _) = on_device(&prediction, &target);
-    let expected = expected(&prediction, &target);
-    let wrong: Vec<f64> = expected.gradient.iter().map(|g| g * 0.998).collect();
-    assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+    for (noise, by) in noises() {
+        let (gradient, _) = on_device(&prediction, &target, &noise);
+        let expected = expected(&prediction, &target, &by);
+        let wrong: Vec<f64> = expected.gradient.iter().map(|g| g * 0.998).collect();
+        assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+    }
 }
 
 #[test]
 fn the_same_images_give_the_same_bits() {
     let (prediction, target) = pictures(75, 41);
-    let (first, second) = (on_device(&prediction, &target), on_device(&prediction, &target));
+    let run = || on_device(&prediction, &target, &noises()[1].0);
+    let (first, second) = (run(), run());
     assert_eq!(first.0, second.0);
     assert_eq!(first.1, second.1);
 }
@@ -156,7 +183,7 @@ fn packing_keeps_sixteen_bits_and_an_odd_last_value() {
 fn a_short_buffer_is_refused() {
     let gpu = gpu();
     let loss = Loss::new(&gpu, 20, 10).expect("buffers");
-    let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
+    let target = GpuTarget::upload(&gpu, &Image::new(20, 10), &Noise::NONE).expect("upload");
     let (long, short) =
         (gpu.create("long", 600).expect("buffer"), gpu.create("short", 599).expect("buffer"));
     let mut recorder = gpu.recorder();
@@ -181,4 +208,9 @@ fn uniform_and_columns_match_the_shaders() {
     assert_eq!(offset("values"), std::mem::offset_of!(LossUniform, values));
     assert_eq!(gradient.structure("LossUniform"), Some(layout));
     assert_eq!(found.constant("COLUMNS"), Some(f64::from(COLUMNS)));
+    let layout = found.structure("NoiseUniform").expect("declared");
+    assert_eq!(layout.size as usize, size_of::<NoiseUniform>());
+    let first = layout.members.iter().find(|(name, _)| name == "first").expect("declared");
+    assert_eq!(first.1 as usize, std::mem::offset_of!(NoiseUniform, first));
+    assert_eq!(found.constant("LEVELS"), Some(LEVELS as f64));
 }

@@ -74,6 +74,7 @@ fn wrong_cameras_are_corrected_and_held_out_ones_registered() {
         let off = |k: f64| 0.012 * (2.3 * n as f64 + k).sin();
         let twist = [off(0.0), off(1.7), 0.0, 0.0, 0.0, 0.0].map(|x| x as f32);
         TrainingView {
+            noise: None,
             has_kernel: true,
             camera: Motion { twist }.moved(&view.camera),
             ..view.clone()

@@ -15,9 +15,8 @@ impl Trainer<'_> {
         let (schedule, count) = (&self.schedule, self.scene.count());
         let index = schedule.view(step, self.model.views.len());
         let view = &self.model.views[index];
-        if !self.scene.has_photograph(index) {
-            let (photograph, mask) = view.target();
-            self.scene.set_photograph(index, &photograph, mask.as_ref())?;
+        if !self.scene.has_target(index) {
+            self.scene.set_target(index, &view.target())?;
         }
         let mcmc = self.config.densify == Densify::Mcmc;
         self.scene.submit(&Step {

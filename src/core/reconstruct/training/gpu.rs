@@ -10,10 +10,10 @@ use super::{Setup, Step, Training, TrainingState};
 use crate::camera::Camera;
 use crate::device::{GpuScene, Scene, Shaken};
 use crate::image::Image;
-use crate::mask::Mask;
 use crate::noise::{Inspection, IntersectionLimit, NoiseField, StateError};
 use crate::reconstruct::densify::Plan;
-use crate::reconstruct::loss::{Loss, upload_mask, upload_target};
+use crate::reconstruct::loss::{GpuTarget, Loss, upload_mask};
+use crate::reconstruct::observed::Target;
 use crate::reconstruct::optimizer::{Optimizer, SlotGradients};
 use crate::shake::{DeviceKernel, Shake};
 use crate::splat::pass::PassRecording;
@@ -24,8 +24,7 @@ use crate::splat::rows::{DeviceGaussians, GeometryRow};
 #[derive(Default)]
 struct GpuView {
     size: [usize; 2],
-    /// The packed photograph.
-    target: Option<Buffer<u32>>,
+    target: Option<GpuTarget>,
     /// The packed mask.
     kept: Option<Buffer<u32>>,
     /// `None` before its first step, and without shake.
@@ -107,11 +106,11 @@ impl GpuTraining {
         let (pass, view) = (&self.scene.pass, &self.views[step.view]);
         let (buffers, loss) = (pass.buffers(), &self.losses[&view.size]);
         let Some(target) = &view.target else {
-            return Err(GpuError::Validation("a view without a photograph".to_owned()));
+            return Err(GpuError::Validation("a view without a target".to_owned()));
         };
         let compare = |recorder: &mut Recorder, prediction: &Buffer<f32>| match &view.kept {
             None => loss.record(recorder, prediction, target, &self.gradient),
-            Some(kept) => loss.record_masked(recorder, prediction, [target, kept], &self.gradient),
+            Some(kept) => loss.record_masked(recorder, prediction, (target, kept), &self.gradient),
         };
         let shaken = self.shake.as_ref().zip(view.kernel.as_ref());
         let mut recorder = pass.recorder()?;
@@ -197,22 +196,17 @@ impl Training for GpuTraining {
         Ok(())
     }
 
-    fn has_photograph(&self, view: usize) -> bool {
+    fn has_target(&self, view: usize) -> bool {
         self.views[view].target.is_some()
     }
 
-    fn set_photograph(
-        &mut self,
-        view: usize,
-        photograph: &Image,
-        mask: Option<&Mask>,
-    ) -> Result<(), GpuError> {
+    fn set_target(&mut self, view: usize, target: &Target) -> Result<(), GpuError> {
         let view = &mut self.views[view];
-        if let (Some(mask), Some(loss)) = (mask, self.losses.get_mut(&view.size)) {
+        if let (Some(mask), Some(loss)) = (&target.mask, self.losses.get_mut(&view.size)) {
             loss.make_masks(&self.gpu)?;
             view.kept = Some(upload_mask(&self.gpu, mask)?);
         }
-        view.target = Some(upload_target(&self.gpu, photograph)?);
+        view.target = Some(GpuTarget::upload(&self.gpu, &target.image, &target.noise)?);
         Ok(())
     }
 

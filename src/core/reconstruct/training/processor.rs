@@ -1,7 +1,7 @@
 //! Training on the processor. A step is done when it is submitted.
 
 use fled_cpu::blend::SlotSums;
-use fled_cpu::loss::{Loss, LossMeans, Shares};
+use fled_cpu::loss::{self, Loss, LossMeans, Noise, Shares};
 use fled_cpu::noise::NoiseField;
 use fled_cpu::population::Population;
 use fled_cpu::shake::{Kernel, Response as Table};
@@ -12,10 +12,10 @@ use super::{Setup, Step, Training, TrainingState};
 use crate::camera::Camera;
 use crate::device::{ProcessorScene, Scene, Shaken};
 use crate::image::Image;
-use crate::mask::Mask;
 use crate::noise::{self, Inspection, StateError};
 use crate::reconstruct::densify::Plan;
 use crate::reconstruct::loss::{L1_SHARE, SSIM_SHARE, quantised};
+use crate::reconstruct::observed::Target;
 use crate::reconstruct::optimizer::StepUniform;
 use crate::shake::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
 use crate::splat::processor;
@@ -32,6 +32,7 @@ struct ProcessorView {
     target: Vec<u16>,
     /// The pixels that count; all if `None`.
     kept: Option<Vec<bool>>,
+    noise: Noise,
     /// The kernel of its last step, in both forms.
     kernel: Option<(ShakeKernel, Kernel)>,
 }
@@ -79,12 +80,11 @@ impl ProcessorView {
         }
     }
 
-    fn compare(&self, loss: &mut Loss, prediction: &[f32], gradient: &mut [f32]) -> LossMeans {
+    fn compare(&self, by: &mut Loss, prediction: &[f32], gradient: &mut [f32]) -> LossMeans {
+        let target = loss::Target { values: &self.target, size: self.size, noise: &self.noise };
         match &self.kept {
-            None => loss.run(prediction, &self.target, self.size, SHARES, gradient),
-            Some(kept) => {
-                loss.run_masked(prediction, (&self.target, kept), self.size, SHARES, gradient)
-            }
+            None => by.run(prediction, target, SHARES, gradient),
+            Some(kept) => by.run_masked(prediction, target, kept, SHARES, gradient),
         }
     }
 }
@@ -140,19 +140,15 @@ impl Training for ProcessorTraining {
         Ok(())
     }
 
-    fn has_photograph(&self, view: usize) -> bool {
+    fn has_target(&self, view: usize) -> bool {
         !self.views[view].target.is_empty()
     }
 
-    fn set_photograph(
-        &mut self,
-        view: usize,
-        photograph: &Image,
-        mask: Option<&Mask>,
-    ) -> Result<(), GpuError> {
+    fn set_target(&mut self, view: usize, target: &Target) -> Result<(), GpuError> {
         let view = &mut self.views[view];
-        view.target = photograph.data().iter().map(|&value| quantised(value)).collect();
-        view.kept = mask.map(|mask| mask.pixels().to_vec());
+        view.target = target.image.data().iter().map(|&value| quantised(value)).collect();
+        view.kept = target.mask.as_ref().map(|mask| mask.pixels().to_vec());
+        view.noise = target.noise;
         Ok(())
     }
 

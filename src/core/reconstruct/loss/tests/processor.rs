@@ -1,6 +1,6 @@
 //! The loss for processors against the reference.
 
-use fled_cpu::loss::{Loss, LossMeans, Shares};
+use fled_cpu::loss::{Loss, LossMeans, Shares, Target};
 
 use super::*;
 
@@ -13,22 +13,23 @@ fn target_values(target: &Image) -> Vec<u16> {
     halves.take(target.data().len()).collect()
 }
 
-fn on_processor(prediction: &Image, target: &Image) -> (Vec<f32>, LossMeans) {
-    let size = [target.width(), target.height()];
+fn on_processor(prediction: &Image, target: &Image, noise: &Noise) -> (Vec<f32>, LossMeans) {
     let (mut loss, values) = (Loss::default(), target_values(target));
+    let against = Target { values: &values, size: [target.width(), target.height()], noise };
     let mut gradient = vec![7.0; prediction.data().len()];
     // Twice: nothing may depend on the leftovers of the last run.
-    loss.run(target.data(), &values, size, SHARES, &mut gradient);
-    let means = loss.run(prediction.data(), &values, size, SHARES, &mut gradient);
+    loss.run(target.data(), against, SHARES, &mut gradient);
+    let means = loss.run(prediction.data(), against, SHARES, &mut gradient);
     (gradient, means)
 }
 
 #[test]
 fn gradient_and_means_match_the_reference_at_odd_sizes() {
-    for (width, height) in [(281, 161), (13, 7), (3, 50), (64, 32), (1, 1)] {
+    let sizes = [(281, 161), (13, 7), (3, 50), (64, 32), (1, 1)];
+    for ((width, height), (noise, by)) in all(&sizes) {
         let (prediction, target) = pictures(width, height);
-        let (gradient, found) = on_processor(&prediction, &target);
-        let expected = expected(&prediction, &target);
+        let (gradient, found) = on_processor(&prediction, &target, &noise);
+        let expected = expected(&prediction, &target, &by);
         assert_agrees(
             &format!("gradient at {width}x{height}"),
             &gradient,
@@ -47,20 +48,20 @@ fn gradient_and_means_match_the_reference_at_odd_sizes() {
 
 #[test]
 fn the_masked_loss_matches_the_reference_at_odd_sizes() {
-    for (width, height) in [(281, 161), (13, 7), (3, 50)] {
+    for ((width, height), (noise, by)) in all(&[(281, 161), (13, 7), (3, 50)]) {
         let (prediction, target) = pictures(width, height);
         let (mask, values) = (mask(width, height), target_values(&target));
         let mut gradient = vec![7.0; prediction.data().len()];
-        let targets = (&values[..], mask.pixels());
+        let against = Target { values: &values, size: [width, height], noise: &noise };
         let found = Loss::default().run_masked(
             prediction.data(),
-            targets,
-            [width, height],
+            against,
+            mask.pixels(),
             SHARES,
             &mut gradient,
         );
         let (p, t) = as_f64(&prediction, &target);
-        let expected = reference::masked_loss(&p, &t, mask.pixels(), width);
+        let expected = reference::masked_loss(&p, (&t, mask.pixels()), &by, width);
         let what = format!("gradient at {width}x{height}");
         assert_agrees(&what, &gradient, &expected.gradient, 1e-3);
         let total = L1_SHARE * found.absolute + SSIM_SHARE * (1.0 - found.similarity);
@@ -73,8 +74,10 @@ fn the_masked_loss_matches_the_reference_at_odd_sizes() {
 #[test]
 fn the_comparison_detects_other_weights() {
     let (prediction, target) = pictures(33, 21);
-    let (gradient, _) = on_processor(&prediction, &target);
-    let wrong: Vec<f64> =
-        expected(&prediction, &target).gradient.iter().map(|g| g * 0.998).collect();
-    assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+    for (noise, by) in noises() {
+        let (gradient, _) = on_processor(&prediction, &target, &noise);
+        let expected = expected(&prediction, &target, &by);
+        let wrong: Vec<f64> = expected.gradient.iter().map(|g| g * 0.998).collect();
+        assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+    }
 }
