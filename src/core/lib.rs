@@ -3,7 +3,7 @@
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
 //! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`exposure`], [`metrics`] and
-//! [`render`].
+//! [`render`]. [`export`] and [`video`] hand a result on; [`mesh`] makes triangles of it.
 //! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
 //! [`gaussians`], [`event`], [`cancel`], [`plain`] and [`reading`]. The crate uses no HTTP, no SQL,
 //! no async runtime and no environment variables.
@@ -21,6 +21,7 @@ pub mod features;
 pub mod gaussians;
 pub mod given_poses;
 pub mod inference;
+pub mod mesh;
 pub mod metrics;
 pub mod noise;
 pub mod noise_levels;

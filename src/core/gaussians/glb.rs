@@ -5,61 +5,19 @@
 //!
 //! glTF's y points up and its z backwards, so the scene is turned by half a turn about x.
 
+pub(crate) mod container;
+
 use std::io::{self, Write};
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use super::ply::{Scene, in_file};
 use super::{Gaussians, Y00};
 use crate::image::srgb_to_linear;
+use container::{Attribute, Layout, write_attributes, write_header};
 
-/// "glTF", the version, and the types of the two chunks.
-const MAGIC: &[u8; 4] = b"glTF";
-const VERSION: u32 = 2;
-const JSON_CHUNK: &[u8; 4] = b"JSON";
-const BINARY_CHUNK: &[u8; 4] = b"BIN\0";
-
-/// glTF's component types.
-const UNSIGNED_SHORT: u32 = 5123;
-const FLOAT: u32 = 5126;
-
-/// glTF's target of vertices, and its mode of points.
-const ARRAY_BUFFER: u32 = 34_962;
+/// glTF's mode of points.
 const POINTS: u32 = 0;
-
-/// A number for each Gaussian and component.
-struct Attribute<'a> {
-    semantic: String,
-    /// How many of the four numbers count.
-    width: usize,
-    component: u32,
-    row: Box<dyn Fn(usize) -> [f32; 4] + 'a>,
-}
-
-impl<'a> Attribute<'a> {
-    fn new(semantic: &str, width: usize, row: impl Fn(usize) -> [f32; 4] + 'a) -> Self {
-        let (semantic, row) = (semantic.to_owned(), Box::new(row));
-        Self { semantic, width, component: FLOAT, row }
-    }
-
-    /// Bytes of a Gaussian.
-    fn stride(&self) -> usize {
-        self.width * if self.component == FLOAT { 4 } else { 2 }
-    }
-
-    fn write(&self, index: usize, out: &mut dyn Write) -> io::Result<()> {
-        for value in &(self.row)(index)[..self.width] {
-            if self.component == FLOAT {
-                out.write_all(&value.to_le_bytes())?;
-            } else {
-                // The cast clamps values outside the range.
-                let share = (value * f32::from(u16::MAX)).round() as u16;
-                out.write_all(&share.to_le_bytes())?;
-            }
-        }
-        Ok(())
-    }
-}
 
 /// Size of this many Gaussians in bytes, without the JSON.
 pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
@@ -80,33 +38,15 @@ pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
         return Err(io::Error::other("glTF cannot hold a scene without Gaussians"));
     }
     let attributes = attributes(&gaussians, gaussians.coefficients());
-    let length = gaussians.len() * attributes.iter().map(Attribute::stride).sum::<usize>();
-    let mut document = document(&gaussians, &attributes, length);
+    let layout = Layout::of(&attributes, gaussians.len());
+    let length = layout.length;
+    let mut document = document(layout);
     let offset = scene.normalisation.missing_in_files();
     if scene.normalisation.left_out {
         document["nodes"][0]["translation"] = json!([offset.x, -offset.y, -offset.z]);
     }
-    let mut text = document.to_string();
-    while !text.len().is_multiple_of(4) {
-        text.push(' ');
-    }
-    let too_long = |_| io::Error::other("the scene is larger than the 4 GiB of a binary glTF");
-    let whole = u32::try_from(12 + 8 + text.len() + 8 + length).map_err(too_long)?;
-    out.write_all(MAGIC)?;
-    out.write_all(&VERSION.to_le_bytes())?;
-    out.write_all(&whole.to_le_bytes())?;
-    for (kind, length) in [(JSON_CHUNK, text.len()), (BINARY_CHUNK, length)] {
-        out.write_all(&(length as u32).to_le_bytes())?;
-        out.write_all(kind)?;
-        if kind == JSON_CHUNK {
-            out.write_all(text.as_bytes())?;
-        }
-    }
-    for attribute in &attributes {
-        for index in 0..gaussians.len() {
-            attribute.write(index, out)?;
-        }
-    }
+    write_header(&document, length, out)?;
+    write_attributes(&attributes, gaussians.len(), out)?;
     out.flush()
 }
 
@@ -130,7 +70,7 @@ fn attributes(scene: &Gaussians, coefficients: usize) -> Vec<Attribute<'_>> {
     let mut attributes = vec![
         Attribute::new("POSITION", 3, |index| wide(scene.means[index])),
         // For viewers without the extension: points in linear light, as glTF has vertex colours.
-        Attribute { component: UNSIGNED_SHORT, ..Attribute::new("COLOR_0", 4, colour) },
+        Attribute::shares("COLOR_0", 4, colour),
         Attribute::new(&extension("ROTATION"), 4, rotation),
         Attribute::new(&extension("SCALE"), 3, |i| wide(scene.log_scales[i].map(f32::exp))),
         Attribute::new(&extension("OPACITY"), 1, opacity),
@@ -148,34 +88,8 @@ fn wide([x, y, z]: [f32; 3]) -> [f32; 4] {
     [x, y, z, 0.0]
 }
 
-/// The JSON of one node with one mesh whose attributes lie one after the other in the buffer.
-fn document(scene: &Gaussians, attributes: &[Attribute<'_>], length: usize) -> Value {
-    let mut at = 0;
-    let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
-    for (number, attribute) in attributes.iter().enumerate() {
-        let bytes = attribute.stride() * scene.len();
-        views.push(json!({
-            "buffer": 0, "byteOffset": at, "byteLength": bytes, "target": ARRAY_BUFFER
-        }));
-        at += bytes;
-        let kind = if attribute.width == 1 { "SCALAR" } else { &format!("VEC{}", attribute.width) };
-        let mut accessor = json!({
-            "bufferView": number, "componentType": attribute.component, "count": scene.len(),
-            "type": kind
-        });
-        if attribute.component != FLOAT {
-            accessor["normalized"] = true.into();
-        }
-        if attribute.semantic == "POSITION" {
-            let end = |pick: fn(f32, f32) -> f32| {
-                scene.means.iter().copied().reduce(|a, b| std::array::from_fn(|i| pick(a[i], b[i])))
-            };
-            accessor["min"] = json!(end(f32::min));
-            accessor["max"] = json!(end(f32::max));
-        }
-        accessors.push(accessor);
-        names.insert(attribute.semantic.clone(), number.into());
-    }
+/// The JSON of one node with one mesh.
+fn document(layout: Layout) -> Value {
     json!({
         "asset": { "version": "2.0", "generator": "fled" },
         "extensionsUsed": ["KHR_gaussian_splatting"],
@@ -184,7 +98,7 @@ fn document(scene: &Gaussians, attributes: &[Attribute<'_>], length: usize) -> V
         "nodes": [{ "mesh": 0 }],
         "meshes": [{ "primitives": [{
             "mode": POINTS,
-            "attributes": names,
+            "attributes": layout.names,
             "extensions": { "KHR_gaussian_splatting": {
                 "kernel": "ellipse",
                 "colorSpace": "srgb_rec709_display",
@@ -192,9 +106,9 @@ fn document(scene: &Gaussians, attributes: &[Attribute<'_>], length: usize) -> V
                 "sortingMethod": "cameraDistance"
             } }
         }] }],
-        "buffers": [{ "byteLength": length }],
-        "bufferViews": views,
-        "accessors": accessors
+        "buffers": [{ "byteLength": layout.length }],
+        "bufferViews": layout.views,
+        "accessors": layout.accessors
     })
 }
 

@@ -52,14 +52,20 @@ pub(super) fn in_file<'a>(gaussians: &'a Gaussians, by: &Normalisation) -> Cow<'
     Cow::Owned(gaussians.moved(1.0 / by.scale, by.offset - by.missing_in_files()))
 }
 
+/// The header line of an offset that the file leaves out; empty without one.
+pub(crate) fn offset_comment(by: &Normalisation) -> String {
+    if !by.left_out {
+        return String::new();
+    }
+    let DVec3 { x, y, z } = by.offset;
+    format!("comment fled: add {x} {y} {z} to x y z for the world of the poses\n")
+}
+
 /// Header lines; none if the file is as the scene trained.
 pub(super) fn comments(by: &Normalisation) -> String {
     let DVec3 { x, y, z } = by.offset;
     let scale = by.scale;
-    let mut lines = String::new();
-    if by.left_out {
-        lines += &format!("comment fled: add {x} {y} {z} to x y z for the world of the poses\n");
-    }
+    let mut lines = offset_comment(by);
     if !by.is_identity() {
         lines += &format!("comment fled: trained as world less {x} {y} {z} times {scale}\n");
     }

@@ -1,6 +1,7 @@
 use glam::DVec3;
 
 use super::super::fixtures::scattered;
+use super::container::{BINARY_CHUNK, FLOAT, JSON_CHUNK, MAGIC};
 use super::*;
 use crate::camera::normalisation::Normalisation;
 use crate::image::linear_to_srgb;
