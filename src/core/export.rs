@@ -1,14 +1,15 @@
 //! Exports of a finished result for use elsewhere: its pictures, its cameras with them, its scene
-//! in other formats.
+//! in other formats or as a mesh.
 //!
 //! Each is written sequentially, so a caller can stream it while it is being made. Missing inputs
-//! are reported before that.
+//! are reported before that. A mesh is made as a whole before it is written.
 
 mod archive;
 mod cameras;
 mod error;
 mod trim;
 
+use std::borrow::Cow;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -18,9 +19,10 @@ use archive::{Archive, Picture, pictures};
 use serde_json::Value;
 
 use crate::camera::{Intrinsics, NamedCamera};
-use crate::gaussians::ply::{self, Extent, Scene};
+use crate::gaussians::ply::{self, Extent, PlyError, Scene};
 use crate::gaussians::{Y00, compressed, glb, sog, spz, usd};
 use crate::image::Image;
+use crate::mesh::{self, Detail, Facts, Mesh};
 use crate::poses::model::SparseModel;
 use crate::run_folder::RunFolder;
 
@@ -60,11 +62,15 @@ pub enum Export {
     Spz,
     /// The scene as SOG.
     Sog,
+    /// A triangle mesh as PLY.
+    MeshPly,
+    /// A triangle mesh as binary glTF.
+    MeshGltf,
 }
 
 impl Export {
     /// All formats.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 14] = [
         Self::Restored,
         Self::Linear,
         Self::Colmap,
@@ -77,6 +83,8 @@ impl Export {
         Self::SpzVersion3,
         Self::Spz,
         Self::Sog,
+        Self::MeshPly,
+        Self::MeshGltf,
     ];
 
     /// The name of its file.
@@ -94,6 +102,8 @@ impl Export {
             Self::SpzVersion3 => "scene.v3.spz",
             Self::Spz => "scene.spz",
             Self::Sog => "scene.sog",
+            Self::MeshPly => "mesh.ply",
+            Self::MeshGltf => "mesh.glb",
         }
     }
 
@@ -140,15 +150,38 @@ impl Export {
                 "The scene at a fifth to an eighth of its size, for PlayCanvas, SuperSplat, \
                  Babylon.js and Spark: the smallest for many Gaussians."
             }
+            Self::MeshPly => {
+                "A triangle mesh for measuring and collisions, with holes where fewer than two \
+                 photographs see a surface. It takes a minute or more to make."
+            }
+            Self::MeshGltf => {
+                "The same mesh as binary glTF, for game engines, Blender and three.js."
+            }
         }
+    }
+
+    /// Refuses what does not suit this format.
+    fn check(self, round: Option<u32>, trim: Trim) -> Result<(), ExportError> {
+        let is_of_views = matches!(
+            self,
+            Self::Restored | Self::Linear | Self::Colmap | Self::Transforms | Self::InriaCameras
+        );
+        let is_mesh = matches!(self, Self::MeshPly | Self::MeshGltf);
+        Err(match self {
+            _ if is_of_views && !trim.is_nothing() => ExportError::NotTrimmed(self.name()),
+            _ if is_mesh && trim.sh_degree.is_some() => ExportError::NoHarmonics(self.name()),
+            _ if !is_mesh && trim.mesh != Detail::default() => ExportError::NoMesh(self.name()),
+            Self::Linear if round.is_some() => ExportError::OnlyDelivered(self.name()),
+            _ => return Ok(()),
+        })
     }
 
     /// Finds its inputs, of the delivered round or of a finished one. A trimmed scene is read and
     /// held in memory.
     ///
     /// # Errors
-    /// [`ExportError`] if they are missing or unreadable, or if the trim leaves nothing or this
-    /// format has no scene to trim.
+    /// [`ExportError`] if they are missing or unreadable, or if the trim leaves nothing or does not
+    /// suit this format.
     pub fn prepare(
         self,
         run: &RunFolder,
@@ -156,18 +189,14 @@ impl Export {
         trim: Trim,
     ) -> Result<Prepared, ExportError> {
         let path = run.scene_of(round);
+        self.check(round, trim)?;
         let scene = |bytes_of, write_to| Content::scene(&path, trim, bytes_of, write_to);
+        let mesh = |format| -> Result<Content, ExportError> {
+            let (scene, _) = Source::of(&path, trim)?;
+            let cameras = cameras::cameras(run, round)?;
+            Ok(Content::Unmeshed { scene, cameras, detail: trim.mesh, format })
+        };
         Ok(Prepared(match self {
-            Self::Restored
-            | Self::Linear
-            | Self::Colmap
-            | Self::Transforms
-            | Self::InriaCameras
-                if !trim.is_nothing() =>
-            {
-                return Err(ExportError::NotTrimmed(self.name()));
-            }
-            Self::Linear if round.is_some() => return Err(ExportError::OnlyDelivered(self.name())),
             Self::Restored => Content::Pictures(pictures(run, round)?),
             Self::Linear => {
                 let views = cameras::views(run, None)?;
@@ -193,6 +222,8 @@ impl Export {
             Self::SpzVersion3 => scene(spz::bytes_of, spz::write_version_3)?,
             Self::Spz => scene(spz::bytes_of, spz::write_version_4)?,
             Self::Sog => scene(sog::bytes_of, sog::write_to)?,
+            Self::MeshPly => mesh((mesh::bytes_of_ply, mesh::write_ply))?,
+            Self::MeshGltf => mesh((mesh::bytes_of_gltf, mesh::write_gltf))?,
         }))
     }
 }
@@ -217,6 +248,8 @@ enum Content {
     Scene { scene: Source, bytes: u64, write_to: WriteScene },
     Copy { path: PathBuf, bytes: u64 },
     Text(String),
+    Unmeshed { scene: Source, cameras: Vec<NamedCamera>, detail: Detail, format: OfMesh },
+    Meshed { mesh: Box<Mesh>, format: OfMesh },
 }
 
 /// A scene to be written.
@@ -228,21 +261,18 @@ enum Source {
     Trimmed(Box<Scene>),
 }
 
+/// The approximate size of a mesh with a number of triangles, and its writer.
+type OfMesh = (fn(usize) -> u64, fn(&Mesh, &mut dyn Write) -> io::Result<()>);
+
 /// Writes a scene in some format.
 type WriteScene = fn(&Scene, &mut dyn Write) -> io::Result<()>;
 
-impl Content {
-    /// A scene in a format that has `bytes_of` a number of Gaussians and a degree.
-    fn scene(
-        path: &Path,
-        trim: Trim,
-        bytes_of: fn(usize, u32) -> u64,
-        write_to: WriteScene,
-    ) -> Result<Self, ExportError> {
+impl Source {
+    /// A scene, with its number of Gaussians and its degree.
+    fn of(path: &Path, trim: Trim) -> Result<(Self, (usize, u32)), ExportError> {
         if trim.is_nothing() {
             let Extent { gaussians, sh_degree, .. } = ply::read_extent(path)?;
-            let bytes = bytes_of(gaussians, sh_degree);
-            return Ok(Self::Scene { scene: Source::File(path.to_owned()), bytes, write_to });
+            return Ok((Self::File(path.to_owned()), (gaussians, sh_degree)));
         }
         let whole = ply::read(path)?;
         let middle = Middle::of(&whole);
@@ -252,8 +282,28 @@ impl Content {
         if let (true, Some(middle)) = (is_empty, middle) {
             return Err(ExportError::NothingLeft(middle));
         }
-        let bytes = bytes_of(left.gaussians.len(), left.gaussians.sh_degree);
-        Ok(Self::Scene { scene: Source::Trimmed(Box::new(left)), bytes, write_to })
+        let extent = (gaussians.len(), gaussians.sh_degree);
+        Ok((Self::Trimmed(Box::new(left)), extent))
+    }
+
+    fn read(&self) -> Result<Cow<'_, Scene>, PlyError> {
+        Ok(match self {
+            Self::File(path) => Cow::Owned(ply::read(path)?),
+            Self::Trimmed(scene) => Cow::Borrowed(scene),
+        })
+    }
+}
+
+impl Content {
+    /// A scene in a format that has `bytes_of` a number of Gaussians and a degree.
+    fn scene(
+        path: &Path,
+        trim: Trim,
+        bytes_of: fn(usize, u32) -> u64,
+        write_to: WriteScene,
+    ) -> Result<Self, ExportError> {
+        let (scene, (gaussians, sh_degree)) = Source::of(path, trim)?;
+        Ok(Self::Scene { scene, bytes: bytes_of(gaussians, sh_degree), write_to })
     }
 
     /// The scene's own file.
@@ -273,7 +323,27 @@ impl Content {
 pub struct Prepared(Content);
 
 impl Prepared {
-    /// Its approximate size in bytes.
+    /// The same with its mesh, if it is one: all that can fail before it is written.
+    ///
+    /// # Errors
+    /// [`ExportError::Mesh`], or if the scene cannot be read.
+    pub fn meshed(self) -> Result<Self, ExportError> {
+        let Content::Unmeshed { scene, cameras, detail, format } = self.0 else {
+            return Ok(self);
+        };
+        let mesh = Box::new(mesh::of(&*scene.read()?, &cameras, detail)?);
+        Ok(Self(Content::Meshed { mesh, format }))
+    }
+
+    /// The measures of its mesh, once that is made.
+    pub fn facts(&self) -> Option<Facts> {
+        match &self.0 {
+            Content::Meshed { mesh, .. } => Some(mesh.facts),
+            _ => None,
+        }
+    }
+
+    /// Its approximate size in bytes; of a mesh that is to be made, the largest.
     pub fn bytes(&self) -> u64 {
         match &self.0 {
             Content::Pictures(pictures) => pictures.iter().map(|picture| picture.bytes).sum(),
@@ -290,6 +360,10 @@ impl Prepared {
             }
             Content::Scene { bytes, .. } | Content::Copy { bytes, .. } => *bytes,
             Content::Text(text) => text.len() as u64,
+            Content::Unmeshed { detail, format: (bytes_of, _), .. } => {
+                bytes_of(detail.triangles.unwrap_or(mesh::TRIANGLES))
+            }
+            Content::Meshed { mesh, format: (bytes_of, _) } => bytes_of(mesh.triangles.len()),
         }
     }
 
@@ -333,11 +407,7 @@ impl Prepared {
             }
             Content::Scene { scene, write_to, .. } => {
                 let mut out = io::BufWriter::new(out);
-                let written = match scene {
-                    Source::File(path) => write_to(&ply::read(path)?, &mut out),
-                    Source::Trimmed(scene) => write_to(scene, &mut out),
-                };
-                written.map_err(ExportError::Write)
+                write_to(&*scene.read()?, &mut out).map_err(ExportError::Write)
             }
             Content::Copy { path, .. } => {
                 let mut file = File::open(path).map_err(ExportError::io(path))?;
@@ -347,6 +417,13 @@ impl Prepared {
             Content::Text(text) => {
                 let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
                 written.map_err(ExportError::Write)
+            }
+            Content::Unmeshed { scene, cameras, detail, format: (_, write_to) } => {
+                let mesh = mesh::of(&*scene.read()?, cameras, *detail)?;
+                write_to(&mesh, &mut io::BufWriter::new(out)).map_err(ExportError::Write)
+            }
+            Content::Meshed { mesh, format: (_, write_to) } => {
+                write_to(mesh, &mut io::BufWriter::new(out)).map_err(ExportError::Write)
             }
         }
     }

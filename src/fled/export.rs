@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use fled_core::capture::is_of_a_run;
 use fled_core::export::{Crop, Export, ExportError, MOST_SH_DEGREE, Trim};
+use fled_core::mesh::Detail;
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;
 
@@ -31,6 +32,21 @@ pub struct Args {
     #[arg(long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(MOST_SH_DEGREE)))]
     sh_degree: Option<u32>,
+    /// Most triangles of a mesh [default: 200000].
+    #[arg(long, value_name = "N", value_parser = triangles)]
+    triangles: Option<usize>,
+    /// Finest detail of a mesh, in units of the poses' world [default: two pixels of the views at
+    /// the scene's median depth].
+    #[arg(long, value_name = "LENGTH", value_parser = voxel)]
+    voxel: Option<f64>,
+}
+
+fn triangles(text: &str) -> Result<usize, String> {
+    text.parse().map_err(|_| format!("`{text}` is not a number")).and_then(Detail::triangles)
+}
+
+fn voxel(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| format!("`{text}` is not a number")).and_then(Detail::voxel)
 }
 
 fn forms() -> String {
@@ -43,7 +59,8 @@ fn forms() -> String {
 /// [`Failure`] if the run lacks the required files, or the file cannot be written.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let run = RunFolder::new(&args.run);
-    let trim = Trim { crop: args.crop, sh_degree: args.sh_degree };
+    let mesh = Detail { triangles: args.triangles, voxel: args.voxel };
+    let trim = Trim { crop: args.crop, sh_degree: args.sh_degree, mesh };
     let prepared = args.export.prepare(&run, args.round, trim)?;
     let output = args.output.clone();
     let output = output.unwrap_or_else(|| args.export.name().into());
@@ -58,6 +75,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             "transforms.json exists here and may be the poses of a capture: name the file with -o",
         ));
     }
+    let prepared = prepared.meshed()?;
     let temporary = output.with_added_extension("tmp");
     let file = File::create(&temporary).map_err(io(&temporary))?;
     if let Err(error) = prepared.write(&file) {
@@ -65,7 +83,11 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         let _ = fs::remove_file(&temporary);
         return Err(error.into());
     }
-    fs::rename(&temporary, &output).map_err(io(&output))
+    fs::rename(&temporary, &output).map_err(io(&output))?;
+    if let Some(facts) = prepared.facts() {
+        eprintln!("{facts}");
+    }
+    Ok(())
 }
 
 /// Whether a path is that of a file that the run left.
@@ -80,10 +102,12 @@ fn is_of_run(path: &Path, run: &RunFolder) -> bool {
 impl From<ExportError> for Failure {
     fn from(error: ExportError) -> Self {
         let missing = error.is_missing();
-        if matches!(
-            error,
-            ExportError::NotTrimmed(_) | ExportError::OnlyDelivered(_) | ExportError::EightBits(_)
-        ) {
+        let is_usage = match &error {
+            ExportError::NothingLeft(_) => false,
+            ExportError::EightBits(_) => true,
+            error => error.is_of_wish(),
+        };
+        if is_usage {
             return Self::usage(error);
         }
         let kind = match error {

@@ -71,6 +71,24 @@ fn a_finished_run_becomes_videos_and_exports() {
     let size = |path: &Path| path.metadata().expect("there").len();
     assert!(4 * size(&small) < size(&run.join("scene.ply")) + 4000);
     the_scene_is_trimmed(folder.path(), &run);
+    the_scene_becomes_a_mesh(folder.path(), &run);
+}
+
+/// It has the wanted size, and the command tells its measures.
+fn the_scene_becomes_a_mesh(folder: &Path, run: &Path) {
+    let mesh = folder.join("mesh.ply");
+    let export = ["export", "mesh.ply", "--triangles", "2000"];
+    let output = made(&export, run, &mesh);
+    assert_eq!(code(&output), 0, "{}", said(&output));
+    assert!(said(&output).contains("% of the views' pixels meet the mesh"), "{}", said(&output));
+    let bytes = std::fs::read(&mesh).expect("there");
+    let header = String::from_utf8_lossy(&bytes[..600]).into_owned();
+    let count = header.lines().find_map(|line| line.strip_prefix("element face "));
+    let count: usize = count.and_then(|count| count.parse().ok()).expect("a count");
+    assert!((500..=2000).contains(&count), "{header}");
+    let output = made(&["export", "mesh.ply", "--voxel", "1e-9"], run, &mesh);
+    assert_eq!(code(&output), 2, "{}", said(&output));
+    assert!(said(&output).contains("is too fine"), "{}", said(&output));
 }
 
 /// Its harmonics are padded, and it is cropped.
@@ -124,6 +142,8 @@ fn impossible_videos_and_exports_explain_why() {
         &["export", "scene.ply", "--crop", "ball:0,0,0,1"],
         &["export", "scene.ply", "--crop", "sphere:0,0,0,-1"],
         &["export", "scene.ply", "--sh-degree", "4"],
+        &["export", "mesh.ply", "--triangles", "99"],
+        &["export", "mesh.ply", "--voxel", "0"],
     ] {
         let output = made(wrong, &nothing, &out);
         assert_eq!(code(&output), 2, "{wrong:?}: {}", said(&output));

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use super::Middle;
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
+use crate::mesh::MeshError;
 
 /// Why an export failed.
 #[derive(Debug, thiserror::Error)]
@@ -38,6 +39,15 @@ pub enum ExportError {
          the like"
     )]
     NotTrimmed(&'static str),
+    /// A mesh has no harmonics.
+    #[error("{0} has no harmonics: leave their degree out")]
+    NoHarmonics(&'static str),
+    /// Only a mesh has triangles and voxels.
+    #[error("{0} is no mesh: triangles and voxel are for mesh.ply and mesh.glb")]
+    NoMesh(&'static str),
+    /// The mesh cannot be made.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
     /// A picture cannot be read.
     #[error(transparent)]
     Picture(#[from] ImageError),
@@ -69,7 +79,15 @@ impl ExportError {
 
     /// Whether the wish cannot be met, whatever the result.
     pub fn is_of_wish(&self) -> bool {
-        matches!(self, Self::NotTrimmed(_) | Self::OnlyDelivered(_) | Self::NothingLeft(_))
+        matches!(
+            self,
+            Self::NotTrimmed(_)
+                | Self::NoHarmonics(_)
+                | Self::NoMesh(_)
+                | Self::OnlyDelivered(_)
+                | Self::NothingLeft(_)
+                | Self::Mesh(MeshError::TooFine { .. })
+        )
     }
 
     /// Whether one of its inputs is missing.

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use glam::DVec3;
 
 use crate::gaussians::ply::Scene;
+use crate::mesh::Detail;
 
 /// Highest degree of the harmonics.
 pub const MOST_SH_DEGREE: u32 = 3;
@@ -17,15 +18,18 @@ pub struct Trim {
     pub crop: Option<Crop>,
     /// Degree of the harmonics, 0 to [`MOST_SH_DEGREE`]: the scene's are cut, or padded with zeros.
     pub sh_degree: Option<u32>,
+    /// How fine a mesh is.
+    pub mesh: Detail,
 }
 
 impl Trim {
-    /// Whether it changes nothing.
+    /// Whether it changes nothing of the scene.
     pub fn is_nothing(&self) -> bool {
-        *self == Self::default()
+        Self { mesh: Detail::default(), ..*self } == Self::default()
     }
 
     /// What is left of a scene. A Gaussian is inside a crop if its centre is.
+    /// The detail of a mesh is not of the scene.
     pub(super) fn of(&self, scene: Scene) -> Scene {
         let Scene { mut gaussians, normalisation } = scene;
         if let Some(crop) = self.crop {

@@ -10,8 +10,10 @@ const SCENES: [Export; 7] = [
     Export::Sog,
 ];
 
+const MESHES: [Export; 2] = [Export::MeshPly, Export::MeshGltf];
+
 fn crop(text: &str) -> Trim {
-    Trim { crop: Some(text.parse().expect("a crop")), sh_degree: None }
+    Trim { crop: Some(text.parse().expect("a crop")), sh_degree: None, ..Trim::default() }
 }
 
 /// The scene in a trimmed export as PLY.
@@ -37,7 +39,7 @@ fn a_crop_keeps_the_gaussians_inside_it_in_every_scene() {
     assert_eq!(kept(crop("box:1,2,3,0.1,0.1,0.1")), [[1.0, 2.0, 3.0]]);
     assert_eq!(kept(crop("box:5,5,5,9,9,9")), [[1.0, 2.0, 3.0], [9.0; 3]]);
     for export in SCENES {
-        let all = Trim { crop: crop("sphere:0,0,0,99").crop, sh_degree: None };
+        let all = Trim { crop: crop("sphere:0,0,0,99").crop, sh_degree: None, ..Trim::default() };
         let [all, one] = [all, crop("sphere:0,0,0,1")]
             .map(|trim| export.prepare(&run, None, trim).expect("there").bytes());
         assert!(one < all, "{}", export.name());
@@ -65,7 +67,7 @@ fn harmonics_are_padded_and_cut() {
     let (_folder, run) = result();
     let own = ply::read(&run.scene()).expect("read").gaussians;
     for degree in 0..=MOST_SH_DEGREE {
-        let trim = Trim { crop: None, sh_degree: Some(degree) };
+        let trim = Trim { crop: None, sh_degree: Some(degree), ..Trim::default() };
         let bytes = Export::Ply.prepare(&run, None, trim).expect("there").bytes();
         assert_eq!(bytes, 3 * [68, 104, 164, 248][degree as usize]);
         assert_eq!(read(&run, trim).gaussians, own.with_sh_degree(degree));
@@ -74,7 +76,7 @@ fn harmonics_are_padded_and_cut() {
         }
     }
     ply::write(&own.with_sh_degree(2), &Normalisation::default(), &run.scene()).expect("written");
-    let cut = read(&run, Trim { crop: None, sh_degree: Some(0) });
+    let cut = read(&run, Trim { crop: None, sh_degree: Some(0), ..Trim::default() });
     assert_eq!(cut.gaussians, own);
 }
 
@@ -85,11 +87,39 @@ fn what_cannot_be_trimmed_says_why() {
     for export in Export::ALL {
         let error = export.prepare(&run, None, nothing).expect_err("nothing is left");
         let said = error.to_string();
-        let expected = if SCENES.contains(&export) {
+        let expected = if SCENES.contains(&export) || MESHES.contains(&export) {
             "no Gaussian's centre is inside the crop"
         } else {
             "holds no scene"
         };
         assert!(error.is_of_wish() && !error.is_missing() && said.contains(expected), "{said}");
+    }
+}
+
+#[test]
+fn only_a_mesh_has_triangles_and_only_a_scene_has_harmonics() {
+    let (_folder, run) = result();
+    let mesh = Detail { triangles: Some(500), voxel: None };
+    let fine = Trim { mesh, ..Trim::default() };
+    let degree = Trim { sh_degree: Some(1), ..Trim::default() };
+    for export in Export::ALL {
+        let is_mesh = MESHES.contains(&export);
+        let refused = |trim| export.prepare(&run, None, trim).err().map(|error| error.to_string());
+        let fault = refused(fine);
+        assert_eq!(fault.is_none(), is_mesh, "{fault:?}");
+        assert!(fault.is_none_or(|fault| fault.contains("is no mesh")));
+        assert_eq!(refused(degree).is_none(), SCENES.contains(&export), "{}", export.name());
+    }
+}
+
+#[test]
+fn a_scene_without_a_surface_has_no_mesh() {
+    let (_folder, run) = result();
+    for export in MESHES {
+        let prepared = export.prepare(&run, None, Trim::default()).expect("there");
+        assert!(prepared.bytes() > 1_000_000 && prepared.facts().is_none());
+        let error = prepared.meshed().expect_err("three Gaussians");
+        assert!(error.to_string().contains("nothing to mesh"), "{error}");
+        assert!(!error.is_of_wish() && !error.is_missing());
     }
 }
