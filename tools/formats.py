@@ -55,6 +55,50 @@ def of_three(text):
     }
 
 
+def of_mesh_ply(path):
+    """The mesh in a PLY file as plyfile reads it; colours in linear light."""
+    read = plyfile.PlyData.read(path)
+    vertices = read["vertex"].data
+
+    def columns(*names):
+        return np.stack([vertices[name].astype(float) for name in names], axis=1)
+
+    colours = columns("red", "green", "blue") / 255
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    triangles = np.stack(read["face"].data["vertex_indices"])
+    return {"position": columns("x", "y", "z"), "normal": columns("nx", "ny", "nz"), "colour": linear, "triangles": triangles}
+
+
+def of_three_mesh(text):
+    """The mesh that peers.mjs prints."""
+    read = json.loads(text)
+    mesh = {part: np.array(read[part]) for part in ("position", "normal", "colour")}
+    return {**mesh, "triangles": np.array(read["triangles"]).reshape(-1, 3)}
+
+
+def mesh_turned(mesh):
+    """A mesh after half a turn about x, which makes y point up."""
+    signs = np.array([1, -1, -1])
+    return {**mesh, "position": mesh["position"] * signs, "normal": mesh["normal"] * signs}
+
+
+def mesh_faults(mesh):
+    """What is wrong with a mesh, whoever reads it."""
+    a, b, c = (mesh["position"][corners] for corners in mesh["triangles"].T)
+    across = np.cross(b - a, c - a)
+    along = [np.einsum("ij,ij->i", across, mesh["normal"][corners]) for corners in mesh["triangles"].T]
+    agree = np.max(along, axis=0) > 0
+    lengths = np.linalg.norm(mesh["normal"], axis=1)
+    faults = {
+        "triangles without an area": (np.linalg.norm(across, axis=1) == 0).mean(),
+        "normals that are not unit vectors": (np.abs(lengths - 1) > 1e-4).mean(),
+        # Sharp folds have some.
+        "triangles against their normals": max(0, (~agree).mean() - 0.05),
+        "vertices of no triangle": 1 - len(np.unique(mesh["triangles"])) / len(lengths),
+    }
+    return [name for name, share in faults.items() if share > 0]
+
+
 def of_usd(path):
     """The Gaussians of the only ParticleField3DGaussianSplat in a USD file, in the world with y up, and their offset."""
     from pxr import Usd, UsdGeom, UsdVol

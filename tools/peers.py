@@ -41,6 +41,8 @@ TOLERANCES = {
     "scene.spz": SPZ,
     "scene.sog": {"position": 1e-4, "size": 0.06, "shape": 0.05, "colour": 0.01, "opacity": 0.003, "harmonics": 0.5},
 }
+# three.js rounds the colours of a PLY to half of 1/255.
+MESH = {"position": 0, "normal": 0, "colour": 0.002}
 # The summary has six digits or six decimals: half of the last one, relative and absolute.
 ROUNDING = 5.1e-6, 5.1e-7
 
@@ -214,6 +216,24 @@ def judge_usd(fled, folder):
     judged("usd-core", file, "scene.usda", formats.y_up(formats.of_ply(folder / "scene.ply")), theirs)
 
 
+def judge_mesh(fled, folder):
+    """Compares the mesh as three.js reads its two files with plyfile's numbers, and looks for faults in it."""
+    ours = None
+    for name in ("mesh.ply", "mesh.glb"):
+        file = folder.with_name(f"{folder.name}.{name}")
+        told = run([fled, "export", folder, name, "--triangles", 20_000, "-o", file]).strip()
+        ours = ours or formats.of_mesh_ply(file)
+        text = subprocess.run(["node", READER, FOLDER / "npm", file], stdout=subprocess.PIPE, check=True).stdout
+        theirs, expected = formats.of_three_mesh(text), ours if name.endswith(".ply") else formats.mesh_turned(ours)
+        if theirs["triangles"].tolist() != expected["triangles"].tolist():
+            raise SystemExit(f"three.js reads other triangles in {file}")
+        apart = {part: float(abs(theirs[part] - expected[part]).max()) for part in ("position", "normal", "colour")}
+        faults = formats.mesh_faults(theirs) + [part for part, value in apart.items() if not value <= MESH[part]]
+        if faults:
+            raise SystemExit(f"three.js reads {file} otherwise, or it has faults: {faults}, {apart}")
+        said(f"three.js: {name} of {file.stat().st_size} bytes is as plyfile reads it; {told}")
+
+
 def judged(who, file, name, ours, theirs):
     """Says how far apart both are, and fails if that is too far."""
     apart = formats.differences(ours, theirs)
@@ -245,6 +265,8 @@ def main():
         judge_compressed(program, fled, folder, expected)
         judge_by_three(fled, folder, "scene.glb")
         judge_usd(fled, folder)
+        if folder == trained:
+            judge_mesh(fled, folder)
         for name in ("scene.v3.spz", "scene.spz"):
             judge_by_three(fled, folder, name)
             judge_converted(program, folder, name, formats.of_ply(folder / "scene.ply"))
