@@ -1,8 +1,8 @@
 // SSIM of 4 columns x `run` rows of one channel an invocation, and its derivatives by the window's
 // moments: the first half of the loss.
-// Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word). Writes
-// derivatives [3, H, W] (by three moments, one unused) and similarity_sums [invocations]. Dispatch:
-// 3 blocks_x blocks_y invocations.
+// Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word) and its noise.
+// Writes derivatives [3, H, W] (by three moments, one unused) and similarity_sums [invocations].
+// Dispatch: 3 blocks_x blocks_y invocations.
 // S = (2 mx my + C1)(2 sxy + c2) / ((mx^2 + my^2 + C1)(sxx + syy + c2)), moments zero-padded, c2 =
 // C2 + 2 s^2 with s the standard deviation of the target's noise at the brightness my.
 #import shared/grid.wgsl

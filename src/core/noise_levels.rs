@@ -21,23 +21,23 @@ impl NoiseLevels {
     /// The noise of an image, from the same image without noise.
     pub fn between(image: &Image, clean: &Image) -> Self {
         let values = image.data().iter().zip(clean.data());
-        let rest: Vec<f32> = values.map(|(image, clean)| image - clean).collect();
-        Self::of_rest(&rest, clean)
+        let residual: Vec<f32> = values.map(|(image, clean)| image - clean).collect();
+        Self::of_residual(&residual, clean)
     }
 
-    /// The noise in `rest`, planar, by the level of `clean`, the image without it. A diagonal
+    /// The noise in `residual`, planar, by the level of `clean`, the image without it. A diagonal
     /// difference of neighbours has the variance of white noise and little of edges; the median
     /// ignores the edges.
-    pub fn of_rest(rest: &[f32], clean: &Image) -> Self {
+    pub fn of_residual(residual: &[f32], clean: &Image) -> Self {
         let (width, height) = (clean.width(), clean.height());
         let mut levels: [Vec<f32>; LEVELS] = Default::default();
-        for (channel, rest) in rest.chunks_exact(width * height).enumerate() {
+        for (channel, residual) in residual.chunks_exact(width * height).enumerate() {
             let clean = clean.plane(channel);
             for row in 0..height - 1 {
                 for at in row * width..(row + 1) * width - 1 {
                     let below = at + width;
-                    let difference =
-                        0.5 * (rest[at] - rest[at + 1] - rest[below] + rest[below + 1]);
+                    let difference = 0.5
+                        * (residual[at] - residual[at + 1] - residual[below] + residual[below + 1]);
                     levels[level(clean[at])].push(difference.abs());
                 }
             }

@@ -132,8 +132,8 @@ pub struct RoundMetrics {
     /// Mean over the views of the noise map's mean and of its spread; absent without a noise field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_map: Option<NoiseMapStatistics>,
-    /// Standard deviation of the noise that the loss expected, mean over the pixels of the training
-    /// views, 0..=1; absent if it expected none.
+    /// Standard deviation of the noise that the loss expected, 0..=1, mean over the training views
+    /// whose noise is known; views that train deblurred have none. Absent if it expected none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected_noise: Option<f64>,
     /// Number of training views with a kernel; the others trained without one.

@@ -52,8 +52,8 @@ pub struct Training {
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field.
     pub noise: Option<NoiseMapStatistics>,
-    /// Standard deviation of the noise that the loss expected, mean over the pixels of the training
-    /// views; `None` if it expected none.
+    /// Standard deviation of the noise that the loss expected, mean over the training views whose
+    /// noise is known; `None` if it expected none.
     #[serde(default)]
     pub expected_noise: Option<f64>,
     /// Training views with a kernel.

@@ -71,20 +71,20 @@ pub fn training_images(
         options.loss == LossModel::NoiseAware && options.deblur != NetworkChoice::Identity;
     let of = |((enhanced, deblurred), on): ((&Image, &Image), &TrainedOn)| {
         let against_clean = |image: Image| {
-            let noise = NoiseLevels::between(&image, deblurred);
-            (image, Some(noise))
+            let noise = is_known.then(|| NoiseLevels::between(&image, deblurred));
+            (image, noise)
         };
         let (image, noise) = match on {
             TrainedOn::Enhanced => against_clean(enhanced.clone()),
             TrainedOn::Denoised => {
                 let (image, noise) = denoised(enhanced, deblurred, response);
-                (image, Some(noise))
+                (image, is_known.then_some(noise))
             }
             // The faults that a network leaves are no noise.
             TrainedOn::Deblurred => (deblurred.clone(), None),
             TrainedOn::Mean => against_clean(mean(enhanced, deblurred)),
         };
-        TrainingImage { image, noise: noise.filter(|_| is_known) }
+        TrainingImage { image, noise }
     };
     enhanced.par_iter().zip(deblurred).zip(trained_on).map(of).collect()
 }

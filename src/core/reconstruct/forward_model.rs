@@ -39,8 +39,8 @@ impl<'a> ForwardModel<'a> {
         self.views.iter_mut().for_each(|view| view.reduce(divisor));
     }
 
-    /// Standard deviation of the noise of the views at full size, mean over their pixels; `None`
-    /// if that of none is known.
+    /// Standard deviation of the noise at full size, mean over the views whose noise is known;
+    /// `None` without such views.
     pub(super) fn expected_noise(&self) -> Option<f64> {
         let views = self.views.iter().map(Observed::given);
         let known = views.filter_map(|view| Some(view.noise?.mean_over(&view.image)));

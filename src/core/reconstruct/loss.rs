@@ -93,7 +93,7 @@ struct LossUniform {
     values: u32,
 }
 
-/// `NoiseUniform` of shaders/shared/loss.wgsl.
+/// `NoiseUniform` of shaders/train/loss_similarity.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 struct NoiseUniform {

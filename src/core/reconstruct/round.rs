@@ -87,8 +87,8 @@ pub struct Trained {
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field; `None` without one.
     pub noise: Option<NoiseMapStatistics>,
-    /// Standard deviation of the noise that the loss expected, mean over the pixels of the views;
-    /// `None` if it expected none.
+    /// Standard deviation of the noise that the loss expected, mean over the views whose noise is
+    /// known; `None` if it expected none.
     pub expected_noise: Option<f64>,
     /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None`
     /// without shake.

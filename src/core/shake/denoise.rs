@@ -29,7 +29,7 @@ pub fn denoised(
     let mut clean = shaken_image(deblurred, &kernel, response);
     let values = photograph.data().iter().zip(clean.data());
     let rest: Vec<f32> = values.map(|(photograph, clean)| photograph - clean).collect();
-    let noise = NoiseLevels::of_rest(&rest, &clean);
+    let noise = NoiseLevels::of_residual(&rest, &clean);
     let (width, pixels) = (clean.width(), clean.pixels());
     let mut variances = vec![0.0; pixels];
     for (at, (rest, value)) in rest.iter().zip(clean.data()).enumerate() {

@@ -33,8 +33,8 @@ pub enum TrainOn {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossModel {
-    /// L1 and an SSIM that expects the noise of each photograph, measured against its deblurred
-    /// view.
+    /// L1 and an SSIM that expects the noise of each training image, measured against the deblurred
+    /// view; images that are deblurred have none.
     NoiseAware,
     /// L1 and SSIM, as in the paper.
     Plain,
