@@ -160,13 +160,18 @@ impl Export {
         }
     }
 
+    /// Whether it is a mesh, which takes long to make, and memory.
+    pub fn is_mesh(self) -> bool {
+        matches!(self, Self::MeshPly | Self::MeshGltf)
+    }
+
     /// Refuses what does not suit this format.
     fn check(self, round: Option<u32>, trim: Trim) -> Result<(), ExportError> {
         let is_of_views = matches!(
             self,
             Self::Restored | Self::Linear | Self::Colmap | Self::Transforms | Self::InriaCameras
         );
-        let is_mesh = matches!(self, Self::MeshPly | Self::MeshGltf);
+        let is_mesh = self.is_mesh();
         Err(match self {
             _ if is_of_views && !trim.is_nothing() => ExportError::NotTrimmed(self.name()),
             _ if is_mesh && trim.sh_degree.is_some() => ExportError::NoHarmonics(self.name()),

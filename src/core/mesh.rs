@@ -37,17 +37,20 @@ pub const TRIANGLE_LIMITS: [usize; 2] = [100, 10_000_000];
 const PIXELS: f64 = 16e6;
 
 /// Voxel by default, pixels at the views' median depth: less is noise.
-const VOXEL: f32 = 2.0;
+const VOXEL: f32 = 3.0;
 
 /// Factor by which a voxel grows until the grid fits into its memory.
 const GROWTH: f32 = 1.25;
 
+/// Least factor by which a voxel grows for fewer triangles.
+const LEAST_GROWTH: f32 = 1.05;
+
 /// How fine a mesh is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Detail {
-    /// Most triangles; [`TRIANGLES`] by default.
+    /// Most triangles, for which voxels grow; [`TRIANGLES`] by default, unless a voxel is given.
     pub triangles: Option<usize>,
-    /// Side of a voxel, units of the poses' world; by default two pixels at the median depth.
+    /// Side of a voxel, units of the poses' world; by default three pixels at the median depth.
     pub voxel: Option<f64>,
 }
 
@@ -87,7 +90,7 @@ pub struct Facts {
     pub boundary_edges: usize,
     /// Share of the views' pixels in which the scene stops most of the light.
     pub seen: f64,
-    /// Share of the views' pixels whose ray meets the mesh where the scene stops the light.
+    /// Share of the views' pixels whose ray meets the mesh near where the scene stops the light.
     pub met: f64,
 }
 
@@ -97,8 +100,9 @@ impl fmt::Display for Facts {
         let [seen, met] = [seen, met].map(|share| 100.0 * share);
         write!(
             f,
-            "{triangles} triangles from voxels of {voxel:.4}; {met:.1} % of the views' pixels meet \
-             the mesh, of {seen:.1} % with a surface; {boundary_edges} edges around holes"
+            "{triangles} triangles from voxels of {}; the mesh covers {met:.1} % of the views' \
+             pixels, of which {seen:.1} % show a surface; {boundary_edges} edges around holes",
+            rounded_up(*voxel)
         )
     }
 }
@@ -136,6 +140,19 @@ pub enum MeshError {
         /// Smallest possible side.
         least: f64,
     },
+    /// The wanted voxel leads to more than the wanted triangles.
+    #[error(
+        "the mesh would have {triangles} triangles, more than {most}: take a larger voxel, or leave it out"
+    )]
+    TooMany {
+        /// Triangles of the mesh.
+        triangles: usize,
+        /// Wanted triangles.
+        most: usize,
+    },
+    /// No mesh has so few triangles.
+    #[error("nothing is left of the mesh with at most {0} triangles: allow more")]
+    TooFew(usize),
     /// The scene cannot be rendered.
     #[error(transparent)]
     Render(#[from] SplatError),
@@ -169,14 +186,25 @@ pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh
     {
         return Err(MeshError::TooFine { wanted, least: f64::from(voxel) / normalisation.scale });
     }
-    let grid = Grid::fused(places, &views, voxel);
-    let whole = cubes::surface(&grid).without_crumbs();
-    drop(grid);
-    let surface = whole.simplified(detail.triangles.unwrap_or(TRIANGLES));
+    let most = detail.triangles.or(detail.voxel.is_none().then_some(TRIANGLES));
+    let mut surface = cubes::surface(&Grid::fused(places, &views, voxel)).without_crumbs();
     if surface.triangles.is_empty() {
         return Err(MeshError::Nothing);
     }
-    let [seen, met] = coverage::of(&views, &surface, voxel * grid::TRUNCATION);
+    while let Some(most) = most.filter(|most| surface.triangles.len() > *most) {
+        if detail.voxel.is_some() {
+            return Err(MeshError::TooMany { triangles: surface.triangles.len(), most });
+        }
+        let ratio = surface.triangles.len() as f32 / most as f32;
+        voxel *= ratio.sqrt().max(LEAST_GROWTH);
+        // Fewer blocks than before, which fitted.
+        let places = grid::blocks(&views, voxel).unwrap_or_default();
+        surface = cubes::surface(&Grid::fused(places, &views, voxel)).without_crumbs();
+        if surface.triangles.is_empty() {
+            return Err(MeshError::TooFew(most));
+        }
+    }
+    let [seen, met] = coverage::of(&views, &surface, 2.0 * voxel);
     let facts = Facts {
         voxel: f64::from(voxel) / normalisation.scale,
         triangles: surface.triangles.len(),

@@ -32,10 +32,11 @@ pub struct Args {
     #[arg(long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(MOST_SH_DEGREE)))]
     sh_degree: Option<u32>,
-    /// Most triangles of a mesh [default: 200000].
+    /// Most triangles of a mesh: its voxels grow until it has no more [default: 200000, or any
+    /// number with `--voxel`].
     #[arg(long, value_name = "N", value_parser = triangles)]
     triangles: Option<usize>,
-    /// Finest detail of a mesh, in units of the poses' world [default: two pixels of the views at
+    /// Side of a mesh's voxels, in units of the poses' world [default: three pixels of the views at
     /// the scene's median depth].
     #[arg(long, value_name = "LENGTH", value_parser = voxel)]
     voxel: Option<f64>,

@@ -43,7 +43,7 @@ pub enum ExportError {
     #[error("{0} has no harmonics: leave their degree out")]
     NoHarmonics(&'static str),
     /// Only a mesh has triangles and voxels.
-    #[error("{0} is no mesh: triangles and voxel are for mesh.ply and mesh.glb")]
+    #[error("{0} is not a mesh: triangles and voxel are for mesh.ply and mesh.glb")]
     NoMesh(&'static str),
     /// The mesh cannot be made.
     #[error(transparent)]
@@ -86,7 +86,9 @@ impl ExportError {
                 | Self::NoMesh(_)
                 | Self::OnlyDelivered(_)
                 | Self::NothingLeft(_)
-                | Self::Mesh(MeshError::TooFine { .. })
+                | Self::Mesh(
+                    MeshError::TooFine { .. } | MeshError::TooMany { .. } | MeshError::TooFew(_)
+                )
         )
     }
 

@@ -28,8 +28,8 @@ impl Trim {
         Self { mesh: Detail::default(), ..*self } == Self::default()
     }
 
-    /// What is left of a scene. A Gaussian is inside a crop if its centre is.
-    /// The detail of a mesh is not of the scene.
+    /// The rest of a scene. A Gaussian is inside a crop if its centre is. How fine a mesh is does
+    /// not change the scene.
     pub(super) fn of(&self, scene: Scene) -> Scene {
         let Scene { mut gaussians, normalisation } = scene;
         if let Some(crop) = self.crop {

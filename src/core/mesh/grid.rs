@@ -19,13 +19,16 @@ pub(super) const TRUNCATION: f32 = 4.0;
 /// Most blocks: 256 MiB.
 const MOST_BLOCKS: usize = 1 << 16;
 
+/// Error of a depth, of itself, within which views see the same surface.
+const DEPTH_ERROR: f32 = 0.03;
+
 /// Views that must see a surface.
 const LEAST_VIEWS: u32 = 2;
 
 /// Where blocks are sought along a ray about the surface, of the truncation: closer than a block.
 const REACHES: [f32; 5] = [-1.0, -0.5, 0.0, 0.5, 1.0];
 
-/// Pixels from one sample to the next where blocks are sought: far less than a block.
+/// Pixels from one sample to the next where blocks are sought.
 const STRIDE: usize = 2;
 
 /// A voxel.
@@ -141,6 +144,9 @@ impl Sum {
         let facing = f32::from(pixel.facing) / 255.0;
         // From the distance along the axis to that from the plane of the surface.
         let distance = (pixel.depth - point.z) * facing * point.length() / point.z;
+        // Depths err by more than the truncation where they are large; that leaves no hole.
+        let is_near = distance.abs() < truncation.max(DEPTH_ERROR * pixel.depth);
+        self.views += u32::from(is_near);
         if distance < -truncation {
             return;
         }
@@ -149,7 +155,6 @@ impl Sum {
         self.distance += weight * share;
         self.weight += weight;
         if share.abs() < 1.0 {
-            self.views += 1;
             let near = weight * (1.0 - share.abs());
             self.colour += near * Vec3::from(pixel.colour.map(f32::from));
             self.colour_weight += near;
@@ -157,7 +162,7 @@ impl Sum {
     }
 
     fn voxel(&self) -> Voxel {
-        if self.views < LEAST_VIEWS {
+        if self.views < LEAST_VIEWS || self.weight == 0.0 {
             return Voxel { distance: f32::NAN, colour: [0; 3] };
         }
         let colour = self.colour / self.colour_weight.max(f32::MIN_POSITIVE);

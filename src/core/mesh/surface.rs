@@ -3,17 +3,9 @@
 use std::collections::HashMap;
 
 use glam::Vec3;
-use meshopt::SimplifyOptions;
 
-/// A piece is kept if it has this share of all triangles, and [`LEAST`].
-const CRUMB: usize = 1_000;
-
-/// Fewest triangles of a piece before simplification.
+/// Fewest triangles of a piece, or a quarter of those of the largest one.
 const LEAST: usize = 64;
-
-/// Weight of a colour from black to white against the size of the surface: patterns on a wall keep
-/// vertices, but shape comes first.
-const COLOUR: f32 = 0.02;
 
 /// Triangles with shared vertices, in the training world.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -24,7 +16,7 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// The surface without small pieces that touch no other.
+    /// The surface without small pieces that touch no other, and without triangles of no area.
     pub fn without_crumbs(mut self) -> Self {
         let mut parents: Vec<u32> = (0..self.positions.len() as u32).collect();
         for &[a, b, c] in &self.triangles {
@@ -37,34 +29,12 @@ impl Surface {
         for triangle in &self.triangles {
             *sizes.entry(root(&mut parents, triangle[0])).or_default() += 1;
         }
-        let least = LEAST.max(self.triangles.len() / CRUMB);
-        self.triangles.retain(|triangle| sizes[&root(&mut parents, triangle[0])] >= least);
-        self.compact()
-    }
-
-    /// The surface with about `most` triangles and not more, but for the rims of its holes, which
-    /// need some. Vertices stay where they are.
-    pub fn simplified(mut self, most: usize) -> Self {
-        if self.triangles.len() > most {
-            let positions: Vec<[f32; 3]> = self.positions.iter().map(Vec3::to_array).collect();
-            let colours: Vec<f32> =
-                self.colours.as_flattened().iter().map(|value| f32::from(*value) / 255.0).collect();
-            let kept = meshopt::simplify_with_attributes_and_locks_decoder(
-                self.triangles.as_flattened(),
-                &positions,
-                &colours,
-                &[COLOUR; 3],
-                3 * size_of::<f32>(),
-                &vec![false; positions.len()],
-                3 * most,
-                f32::MAX,
-                SimplifyOptions::Prune,
-                None,
-            );
-            self.triangles = kept.as_chunks().0.to_vec();
-        }
-        let (positions, triangles) = (&self.positions, &mut self.triangles);
-        triangles.retain(|&triangle| across(positions, triangle).length_squared() > 0.0);
+        let least = LEAST.min(sizes.values().max().map_or(0, |largest| largest / 4));
+        let positions = &self.positions;
+        self.triangles.retain(|&triangle| {
+            let is_large = sizes[&root(&mut parents, triangle[0])] >= least;
+            is_large && across(positions, triangle).length_squared() > 0.0
+        });
         self.compact()
     }
 

@@ -58,7 +58,7 @@ fn area(mesh: &Mesh, triangle: [u32; 3]) -> f32 {
 fn a_ball_is_meshed_where_it_is_with_normals_outwards_and_its_colours() {
     let mesh = meshed(Detail::default());
     let voxel = mesh.facts.voxel as f32;
-    assert!((0.02..0.06).contains(&voxel), "{voxel}");
+    assert!((0.04..0.09).contains(&voxel), "{voxel}");
     for ((at, normal), colour) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.colours) {
         assert!((at.length() - 1.0).abs() < voxel, "{at}");
         assert!(normal.dot(at.normalize()) > 0.7, "{at} {normal}");
@@ -94,8 +94,9 @@ fn a_mesh_has_at_most_the_wanted_triangles_and_keeps_its_shape() {
     for most in [200, 1_000] {
         let mesh = meshed(Detail { triangles: Some(most), voxel: None });
         let count = mesh.triangles.len();
-        assert!(count <= most && count > most * 9 / 10, "{count}");
-        assert!(mesh.positions.iter().all(|at| (at.length() - 1.0).abs() < 0.05));
+        assert!(count <= most && count > most / 2, "{count}");
+        let voxel = mesh.facts.voxel as f32;
+        assert!(mesh.positions.iter().all(|at| (at.length() - 1.0).abs() < voxel));
         assert!(mesh.facts.met > 0.9 * mesh.facts.seen, "{:?}", mesh.facts);
     }
 }
@@ -111,6 +112,19 @@ fn a_larger_voxel_gives_fewer_triangles_and_too_small_a_one_is_refused() {
     assert!(error.to_string().contains("is too fine: use 0.0"), "{error}");
     let rounded = [0.01357, 0.0136, 13.57, 1_357.0].map(rounded_up);
     assert_eq!(rounded, ["0.0136", "0.0136", "13.6", "1360"]);
+}
+
+#[test]
+fn a_voxel_with_too_many_triangles_and_a_number_that_nothing_reaches_are_refused() {
+    let plain = Normalisation::default();
+    let refused = |voxel, triangles| {
+        let detail = Detail { triangles: Some(triangles), voxel };
+        let error =
+            of(&ball(plain), &cameras(&directions(16), plain), detail).expect_err("refused");
+        error.to_string()
+    };
+    assert!(refused(Some(0.05), 500).contains("more than 500"));
+    assert!(refused(None, 2).contains("allow more"));
 }
 
 #[test]
@@ -141,8 +155,8 @@ fn a_mesh_is_in_the_world_of_the_poses_less_the_offset_of_scene_ply() {
     let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
     let by = Normalisation { offset, scale: 0.0625, left_out: true };
     let far = of(&ball(by), &cameras(&directions(16), by), Detail::default()).expect("a mesh");
-    assert!(far.positions.iter().all(|at| (at.length() - 16.0).abs() < 1.0));
-    assert!((0.3..1.0).contains(&far.facts.voxel), "{}", far.facts.voxel);
+    assert!(far.positions.iter().all(|at| (at.length() - 16.0).abs() < 1.5));
+    assert!((0.5..1.5).contains(&far.facts.voxel), "{}", far.facts.voxel);
     let mut bytes = Vec::new();
     write_ply(&far, &mut bytes).expect("written");
     let text = String::from_utf8_lossy(&bytes[..400]).into_owned();

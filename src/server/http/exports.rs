@@ -9,7 +9,6 @@ use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Prepared, Trim};
-use fled_core::mesh::{Detail, MeshError};
 use futures::stream::poll_fn;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
@@ -53,13 +52,6 @@ pub struct DownloadQuery {
     /// Degree of a scene's harmonics: they are cut, or padded with zeros.
     #[param(minimum = 0, maximum = 3)]
     sh_degree: Option<u32>,
-    /// Most triangles of a mesh; 200,000 by default.
-    #[param(minimum = 100, maximum = 10_000_000)]
-    triangles: Option<usize>,
-    /// Finest detail of a mesh, in units of the poses' world; by default two pixels of the views at
-    /// the scene's median depth.
-    #[param(exclusive_minimum = 0)]
-    voxel: Option<f64>,
 }
 
 impl DownloadQuery {
@@ -75,12 +67,7 @@ impl DownloadQuery {
             let fault = format!("`sh_degree` must be from 0 to {MOST_SH_DEGREE}");
             return Err(refused("sh_degree", fault));
         }
-        let triangles = self.triangles.map(Detail::triangles).transpose();
-        let triangles =
-            triangles.map_err(|fault| refused("triangles", format!("`triangles` {fault}")))?;
-        let voxel = self.voxel.map(Detail::voxel).transpose();
-        let voxel = voxel.map_err(|fault| refused("voxel", format!("`voxel` {fault}")))?;
-        Ok(Trim { crop, sh_degree: self.sh_degree, mesh: Detail { triangles, voxel } })
+        Ok(Trim { crop, sh_degree: self.sh_degree, ..Trim::default() })
     }
 }
 
@@ -128,7 +115,7 @@ pub async fn list(
                 None
             }
         };
-        Export::ALL.into_iter().filter_map(form).collect()
+        offered().filter_map(form).collect()
     });
     let exports = exports.await.map_err(|_| Problem::internal())?;
     Ok(axum::Json(Exports { exports }))
@@ -136,8 +123,7 @@ pub async fn list(
 
 /// Exports the result in one format.
 ///
-/// The file is made while it is sent, so its length is unknown and ranges are not supported. A mesh
-/// is made before it is sent, which takes a minute or more.
+/// The file is made while it is sent, so its length is unknown and ranges are not supported.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
     tag = "results",
     params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), DownloadQuery),
@@ -145,7 +131,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "An option cannot be used, or not with this export", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The crop or the degree cannot be used, or this export has no scene", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
@@ -155,16 +141,17 @@ pub async fn download(
     let export: Export = name
         .parse()
         .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
+    if export.is_mesh() {
+        let hint = "Make it from the job's files: `fled export DIR mesh.ply`.";
+        return Err(Problem::not_found("export").hint(hint));
+    }
     let trim = query.trim()?;
     let round = finished(&app, &id, query.round).await?;
     // Compression holds a whole scene in memory.
     let turn = turn(&app)?;
     let output = app.data.output(&id);
     // The slot goes with the work, which goes on if the client leaves.
-    let prepare = move || {
-        let prepared = export.prepare(&output, round, trim)?.meshed()?;
-        Ok((prepared, turn))
-    };
+    let prepare = move || export.prepare(&output, round, trim).map(|prepared| (prepared, turn));
     let prepared = tokio::task::spawn_blocking(prepare);
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
     let (prepared, turn) = prepared.map_err(|error| refused(&error))?;
@@ -227,6 +214,12 @@ impl Write for Pipe<'_> {
     }
 }
 
+/// The formats that a server makes. A mesh needs minutes and a gigabyte: it is left to the command
+/// line.
+fn offered() -> impl Iterator<Item = Export> {
+    Export::ALL.into_iter().filter(|export| !export.is_mesh())
+}
+
 fn media_type(export: Export) -> &'static str {
     match export {
         Export::Restored | Export::Linear | Export::Colmap | Export::Sog => "application/zip",
@@ -254,11 +247,11 @@ fn refused(error: &ExportError) -> Problem {
         return Problem::conflict("no_export", detail)
             .hint("Run the capture in a new job. `artifacts` lists the available files.");
     }
+    if matches!(error, ExportError::EightBits(_)) {
+        return Problem::conflict("no_export", format!("{error}."));
+    }
     if error.is_of_wish() {
         return Problem::unprocessable("bad_input", format!("{error}."));
-    }
-    if matches!(error, ExportError::EightBits(_) | ExportError::Mesh(MeshError::Nothing)) {
-        return Problem::conflict("no_export", format!("{error}."));
     }
     tracing::error!(%error, "an export failed");
     let detail = without_paths(&format!("The result cannot be read: {error}."));

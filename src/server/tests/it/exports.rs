@@ -8,7 +8,7 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 14] = [
+const FORMS: [&str; 12] = [
     "restored.zip",
     "linear.zip",
     "colmap.zip",
@@ -21,8 +21,6 @@ const FORMS: [&str; 14] = [
     "scene.v3.spz",
     "scene.spz",
     "scene.sog",
-    "mesh.ply",
-    "mesh.glb",
 ];
 
 fn names(reply: &Reply) -> Vec<String> {
@@ -50,9 +48,7 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
         let sent = reply.body.len() as u64;
         // Equal balls compress better than any scene, and drawn pictures than any render.
         let is_compressed = ["spz", "sog", ".zip"].iter().any(|end| name.ends_with(end));
-        // A mesh may have fewer triangles than it is allowed.
-        let may_be_less = is_compressed || name.starts_with("mesh");
-        let is_near = sent < 2 * said && (may_be_less || said / 2 < sent);
+        let is_near = sent < 2 * said && (is_compressed || said / 2 < sent);
         assert!(is_near, "{name}: {said}, {sent}");
         let disposition = reply.header("content-disposition").to_owned();
         assert_eq!(disposition, format!("attachment; filename=\"{name}\""));
@@ -94,27 +90,8 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
         let detail = problem["detail"].as_str().expect("a detail");
         assert!(detail.contains(fault), "{detail}");
     }
-    let mesh = |query: &str| server.get(&format!("/v1/jobs/{job}/exports/mesh.ply{query}"), &[]);
-    let triangles = |query: &str| mesh(query).expect(200).body.len() / 13;
-    assert!(triangles("?triangles=200") < 500 && triangles("") > 1_000);
-    for (query, pointer) in [
-        ("triangles=99", "/triangles"),
-        ("triangles=x", "/triangles"),
-        ("voxel=0", "/voxel"),
-        ("voxel=inf", "/voxel"),
-    ] {
-        let problem = mesh(&format!("?{query}")).expect(422).json();
-        assert_eq!(problem["pointer"], pointer, "{problem}");
-    }
-    for (name, query, fault) in [
-        ("mesh.ply", "voxel=0.000001", "is too fine"),
-        ("mesh.glb", "sh_degree=1", "has no harmonics"),
-        ("scene.ply", "triangles=500", "is no mesh"),
-    ] {
-        let problem = server.get(&format!("/v1/jobs/{job}/exports/{name}?{query}"), &[]);
-        let problem = problem.expect(422).json().to_string();
-        assert!(problem.contains(fault), "{problem}");
-    }
+    let mesh = server.get(&format!("/v1/jobs/{job}/exports/mesh.ply"), &[]).expect(404).json();
+    assert!(mesh["hint"].as_str().expect("a hint").contains("fled export"), "{mesh}");
     let problem = get("?crop=sphere:900,0,0,1").expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
     assert!(detail.contains("no Gaussian's centre is inside the crop"), "{detail}");
