@@ -14,7 +14,7 @@ mod view;
 
 use std::fmt;
 
-use glam::Vec3;
+use glam::{IVec3, Vec3};
 
 use crate::camera::NamedCamera;
 use crate::camera::normalisation::Normalisation;
@@ -23,7 +23,7 @@ use crate::gaussians::ply::Scene;
 use crate::render::{Renderer, SplatError};
 
 pub use files::{bytes_of_gltf, bytes_of_ply, write_gltf, write_ply};
-use grid::Grid;
+use grid::{Grid, Scale};
 use surface::Surface;
 use view::View;
 
@@ -39,11 +39,16 @@ const PIXELS: f64 = 16e6;
 /// Voxel by default, pixels at the views' median depth: less is noise.
 const VOXEL: f32 = 3.0;
 
+/// Truncation of the signed distance: voxels by default, by which depths differ from view to view,
+/// and at least, so that all voxels at a surface know it.
+const TRUNCATION: [f32; 2] = [4.0, 2.0];
+
 /// Factor by which a voxel grows until the grid fits into its memory.
 const GROWTH: f32 = 1.25;
 
-/// Least factor by which a voxel grows for fewer triangles.
-const LEAST_GROWTH: f32 = 1.05;
+/// Limits of the factor by which a voxel grows for fewer triangles: thin parts vanish with large
+/// voxels, so their number falls faster than by the square.
+const TRIANGLE_GROWTH: [f32; 2] = [1.05, 1.25];
 
 /// How fine a mesh is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -176,7 +181,7 @@ pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh
     let wanted = detail.voxel.map(|side| (side * normalisation.scale) as f32);
     let mut voxel = wanted.map_or(VOXEL * pixel, |side| side.max(pixel));
     let places = loop {
-        match grid::blocks(&views, voxel) {
+        match grid::blocks(&views, scale(voxel, pixel)) {
             Some(places) => break places,
             None => voxel *= GROWTH,
         }
@@ -186,24 +191,7 @@ pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh
     {
         return Err(MeshError::TooFine { wanted, least: f64::from(voxel) / normalisation.scale });
     }
-    let most = detail.triangles.or(detail.voxel.is_none().then_some(TRIANGLES));
-    let mut surface = cubes::surface(&Grid::fused(places, &views, voxel)).without_crumbs();
-    if surface.triangles.is_empty() {
-        return Err(MeshError::Nothing);
-    }
-    while let Some(most) = most.filter(|most| surface.triangles.len() > *most) {
-        if detail.voxel.is_some() {
-            return Err(MeshError::TooMany { triangles: surface.triangles.len(), most });
-        }
-        let ratio = surface.triangles.len() as f32 / most as f32;
-        voxel *= ratio.sqrt().max(LEAST_GROWTH);
-        // Fewer blocks than before, which fitted.
-        let places = grid::blocks(&views, voxel).unwrap_or_default();
-        surface = cubes::surface(&Grid::fused(places, &views, voxel)).without_crumbs();
-        if surface.triangles.is_empty() {
-            return Err(MeshError::TooFew(most));
-        }
-    }
+    let (surface, voxel) = limited(&views, pixel, detail, (places, voxel))?;
     let [seen, met] = coverage::of(&views, &surface, 2.0 * voxel);
     let facts = Facts {
         voxel: f64::from(voxel) / normalisation.scale,
@@ -213,6 +201,43 @@ pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh
         met,
     };
     Ok(finished(surface, facts, normalisation))
+}
+
+fn scale(voxel: f32, pixel: f32) -> Scale {
+    let truncation = (TRUNCATION[0] * VOXEL * pixel).max(TRUNCATION[1] * voxel);
+    Scale { voxel, truncation }
+}
+
+/// The surface with at most the wanted triangles, and its voxel, which grows for that from the
+/// given one, whose blocks have these places.
+fn limited(
+    views: &[View],
+    pixel: f32,
+    detail: Detail,
+    (places, mut voxel): (Vec<IVec3>, f32),
+) -> Result<(Surface, f32), MeshError> {
+    let surface = |places, voxel| {
+        cubes::surface(&Grid::fused(places, views, scale(voxel, pixel))).without_crumbs()
+    };
+    let most = detail.triangles.or(detail.voxel.is_none().then_some(TRIANGLES));
+    let mut found = surface(places, voxel);
+    if found.triangles.is_empty() {
+        return Err(MeshError::Nothing);
+    }
+    while let Some(most) = most.filter(|most| found.triangles.len() > *most) {
+        if detail.voxel.is_some() {
+            return Err(MeshError::TooMany { triangles: found.triangles.len(), most });
+        }
+        let ratio = found.triangles.len() as f32 / most as f32;
+        let [least, largest] = TRIANGLE_GROWTH;
+        voxel *= ratio.sqrt().clamp(least, largest);
+        // Fewer blocks than before, which fitted.
+        found = surface(grid::blocks(views, scale(voxel, pixel)).unwrap_or_default(), voxel);
+        if found.triangles.is_empty() {
+            return Err(MeshError::TooFew(most));
+        }
+    }
+    Ok((found, voxel))
 }
 
 /// The depths and colours that the cameras see, in the training world.

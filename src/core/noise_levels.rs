@@ -120,7 +120,7 @@ mod tests {
         let found = NoiseLevels::between(&noisy(&clean, deviation), &clean);
         for value in [0.03, 0.28, 0.53, 0.97] {
             let ratio = found.at(value) / deviation(value);
-            assert!((ratio - 1.0).abs() < 0.05, "{value}: {ratio}");
+            assert!((ratio - 1.0).abs() < 0.2, "{value}: {ratio}");
         }
         let mean = found.mean_over(&clean);
         assert!(mean > 0.02 / 1.1 && mean < 0.2, "{mean}");

@@ -11,7 +11,7 @@ use super::surface::Surface;
 
 /// Largest difference of two neighbours across the surface, of the truncation. At a surface they
 /// differ by a voxel; more is the border between what is seen as free and what is hidden.
-const LARGEST_STEP: f32 = 0.8;
+const LARGEST_STEP: f32 = 1.2;
 
 /// A vertex keeps this share of an edge from its ends, so that no two of a cube coincide.
 const MARGIN: f32 = 0.02;

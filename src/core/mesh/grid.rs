@@ -13,9 +13,6 @@ pub(super) const SIDE: i32 = 8;
 /// Voxels of a block.
 const VOLUME: usize = (SIDE * SIDE * SIDE) as usize;
 
-/// Distance at which it is truncated, voxels.
-pub(super) const TRUNCATION: f32 = 4.0;
-
 /// Most blocks: 256 MiB.
 const MOST_BLOCKS: usize = 1 << 16;
 
@@ -41,6 +38,15 @@ pub(super) struct Voxel {
     pub colour: [u8; 3],
 }
 
+/// Lengths of a grid, training units.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scale {
+    /// Side of a voxel.
+    pub voxel: f32,
+    /// Distance from a surface at which its signed distance is truncated.
+    pub truncation: f32,
+}
+
 /// Blocks by their place, in a fixed order.
 pub(super) struct Grid {
     /// Side of a voxel, training units.
@@ -60,9 +66,9 @@ struct Sum {
 }
 
 /// The places of the blocks near the surfaces that views see, sorted; `None` if they are too many.
-pub(super) fn blocks(views: &[View], voxel: f32) -> Option<Vec<IVec3>> {
+pub(super) fn blocks(views: &[View], scale: Scale) -> Option<Vec<IVec3>> {
     let mut found: HashSet<IVec3> = HashSet::new();
-    let side = voxel * SIDE as f32;
+    let side = scale.voxel * SIDE as f32;
     for view in views {
         for row in (0..view.height).step_by(STRIDE) {
             let mut last = [IVec3::MAX; REACHES.len()];
@@ -74,7 +80,7 @@ pub(super) fn blocks(views: &[View], voxel: f32) -> Option<Vec<IVec3>> {
                 }
                 let ray = view.ray(index);
                 for (place, reach) in last.iter_mut().zip(REACHES) {
-                    let point = view.in_world(ray * (pixel.depth + reach * TRUNCATION * voxel));
+                    let point = view.in_world(ray * (pixel.depth + reach * scale.truncation));
                     let here = (point / side).floor().as_ivec3();
                     if here != *place {
                         found.insert(here);
@@ -94,9 +100,9 @@ pub(super) fn blocks(views: &[View], voxel: f32) -> Option<Vec<IVec3>> {
 
 impl Grid {
     /// Fuses the views. A voxel's sums follow the order of the views.
-    pub fn fused(places: Vec<IVec3>, views: &[View], voxel: f32) -> Self {
-        let fused = places.par_iter().map(|place| (*place, fuse(*place, views, voxel)));
-        Self { voxel, blocks: fused.collect(), places }
+    pub fn fused(places: Vec<IVec3>, views: &[View], scale: Scale) -> Self {
+        let fused = places.par_iter().map(|place| (*place, fuse(*place, views, scale)));
+        Self { voxel: scale.voxel, blocks: fused.collect(), places }
     }
 
     /// The voxels of a block, x first; `None` far from all surfaces.
@@ -110,7 +116,8 @@ pub(super) fn index_of(at: IVec3) -> usize {
     ((at.z * SIDE + at.y) * SIDE + at.x) as usize
 }
 
-fn fuse(place: IVec3, views: &[View], voxel: f32) -> Vec<Voxel> {
+fn fuse(place: IVec3, views: &[View], scale: Scale) -> Vec<Voxel> {
+    let Scale { voxel, truncation } = scale;
     let mut sums = vec![Sum::default(); VOLUME];
     let corner = place * SIDE;
     let half = 0.5 * SIDE as f32 * voxel;
@@ -124,7 +131,7 @@ fn fuse(place: IVec3, views: &[View], voxel: f32) -> Vec<Voxel> {
                 for x in 0..SIDE {
                     let at = IVec3::new(x, y, z);
                     let point = view.in_camera((corner + at).as_vec3() * voxel);
-                    sums[index_of(at)].add(view, point, voxel * TRUNCATION);
+                    sums[index_of(at)].add(view, point, truncation);
                 }
             }
         }

@@ -6,9 +6,13 @@ use crate::camera::Camera;
 use crate::image::Image;
 use crate::render::Depth;
 
-/// Least cosine between a ray and the normal of the surface. Beyond it the depth is uncertain, and
-/// pixels that mix the depths of two surfaces look like that.
-const LEAST_FACING: f32 = 0.15;
+/// Least cosine between a ray and the normal of the surface. Pixels that mix the depths of two
+/// surfaces look like less; a floor needs little.
+const LEAST_FACING: f32 = 0.05;
+
+/// Distance of the neighbours whose depths show the normal, px. The depths of nearer ones differ by
+/// their noise.
+const NEIGHBOUR: usize = 3;
 
 /// Depths beyond this multiple of the median of all views are left out: they are uncertain, and
 /// their surfaces take most of the memory.
@@ -108,11 +112,14 @@ impl View {
         1.0 / self.focal.min_element()
     }
 
-    /// Cosine between ray and normal from the depths of the four neighbours; `None` without one of
-    /// them, or if it is too small.
+    /// Cosine between ray and normal from the depths of four neighbours; `None` without one of them,
+    /// or if it is too small.
     fn facing(&self, index: usize) -> Option<f32> {
         let (x, y) = (index % self.width, index / self.width);
-        let is_inner = x > 0 && y > 0 && x + 1 < self.width && y + 1 < self.height;
+        let is_inner = x >= NEIGHBOUR
+            && y >= NEIGHBOUR
+            && x + NEIGHBOUR < self.width
+            && y + NEIGHBOUR < self.height;
         if !is_inner || self.pixels[index].depth == 0.0 {
             return None;
         }
@@ -120,8 +127,9 @@ impl View {
             let depth = self.pixels[index].depth;
             (depth > 0.0).then(|| self.ray(index) * depth)
         };
-        let across = point(index + 1)? - point(index - 1)?;
-        let down = point(index + self.width)? - point(index - self.width)?;
+        let across = point(index + NEIGHBOUR)? - point(index - NEIGHBOUR)?;
+        let below = NEIGHBOUR * self.width;
+        let down = point(index + below)? - point(index - below)?;
         let normal = across.cross(down).try_normalize()?;
         let facing = normal.dot(self.ray(index).normalize()).abs();
         (facing >= LEAST_FACING).then_some(facing)

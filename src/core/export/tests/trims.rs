@@ -107,7 +107,7 @@ fn only_a_mesh_has_triangles_and_only_a_scene_has_harmonics() {
         let refused = |trim| export.prepare(&run, None, trim).err().map(|error| error.to_string());
         let fault = refused(fine);
         assert_eq!(fault.is_none(), is_mesh, "{fault:?}");
-        assert!(fault.is_none_or(|fault| fault.contains("is no mesh")));
+        assert!(fault.is_none_or(|fault| fault.contains("is not a mesh")));
         assert_eq!(refused(degree).is_none(), SCENES.contains(&export), "{}", export.name());
     }
 }

@@ -5,7 +5,7 @@ use crate::pipeline::config::{Setting, ShakeModel, TrainOn};
 
 /// The results that each option invalidates, in the order of Algorithm 1. Options without any act
 /// through the tools that they choose.
-const STALE: [(&str, &[&str]); 27] = [
+const STALE: [(&str, &[&str]); 28] = [
     ("detail", &["views", "enhance", "deblur", "reconstruct", "guided"]),
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
@@ -19,6 +19,7 @@ const STALE: [(&str, &[&str]); 27] = [
     ("noise", &["reconstruct", "guided"]),
     ("shake", &["reconstruct", "guided"]),
     ("train_on", &["reconstruct", "guided"]),
+    ("loss", &["reconstruct", "guided"]),
     ("refine_poses", &["reconstruct", "guided"]),
     ("late_views", &[]),
     ("start", &["reconstruct", "guided"]),
@@ -51,6 +52,7 @@ fn other(option: &str) -> Value {
         "schedule" => json!("published"),
         "densify" => json!("classic"),
         "train_on" => json!("enhanced"),
+        "loss" => json!("plain"),
         "refine_poses" | "late_views" => json!(false),
         "start" => json!("scratch"),
         "background" => json!("black"),

@@ -232,7 +232,7 @@ mod tests {
         }
         let [clean, noisy] = [ReferenceNoise::NONE, NOISE]
             .map(|noise| 1.0 - loss(&prediction, &target, &noise, WIDTH).ssim);
-        assert!(noisy < 0.8 * clean, "{noisy} {clean}");
+        assert!(noisy < 0.95 * clean, "{noisy} {clean}");
     }
 
     #[test]
