@@ -112,8 +112,8 @@ impl View {
         1.0 / self.focal.min_element()
     }
 
-    /// Cosine between ray and normal from the depths of four neighbours; `None` without one of them,
-    /// or if it is too small.
+    /// Cosine between ray and normal from the depths of four neighbours; `None` without one of
+    /// them, or if it is too small.
     fn facing(&self, index: usize) -> Option<f32> {
         let (x, y) = (index % self.width, index / self.width);
         let is_inner = x >= NEIGHBOUR
