@@ -40,7 +40,7 @@ pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let attributes = attributes(&gaussians, gaussians.coefficients());
     let layout = Layout::of(&attributes, gaussians.len());
     let length = layout.length;
-    let mut document = document(layout);
+    let mut document = document(&layout);
     let offset = scene.normalisation.missing_in_files();
     if scene.normalisation.left_out {
         document["nodes"][0]["translation"] = json!([offset.x, -offset.y, -offset.z]);
@@ -89,7 +89,7 @@ fn wide([x, y, z]: [f32; 3]) -> [f32; 4] {
 }
 
 /// The JSON of one node with one mesh.
-fn document(layout: Layout) -> Value {
+fn document(layout: &Layout) -> Value {
     json!({
         "asset": { "version": "2.0", "generator": "fled" },
         "extensionsUsed": ["KHR_gaussian_splatting"],
