@@ -158,10 +158,8 @@ fn main() {
         timed(&mut || bins.run(&projection, view.size));
         timed(&mut || canvas.run(&projection, &bins, &view));
         timed(&mut || shake.forward(&canvas.image, &kernel, &response));
-        timed(&mut || {
-            let target = Target { values: &target, size: view.size, noise: &Noise::NONE };
-            loss.run(&canvas.image, target, shares, &mut gradient);
-        });
+        let target = Target { values: &target, size: view.size, noise: &Noise::NONE };
+        timed(&mut || _ = loss.run(&canvas.image, target, shares, &mut gradient));
         timed(&mut || {
             shake.backward(&canvas.image, &gradient, &kernel, &response, [1e-7, 0.02]);
         });
