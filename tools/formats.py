@@ -83,7 +83,7 @@ def mesh_turned(mesh):
 
 
 def mesh_faults(mesh):
-    """What is wrong with a mesh, whoever reads it."""
+    """Faults of a mesh, as any program reads it."""
     a, b, c = (mesh["position"][corners] for corners in mesh["triangles"].T)
     across = np.cross(b - a, c - a)
     along = [np.einsum("ij,ij->i", across, mesh["normal"][corners]) for corners in mesh["triangles"].T]

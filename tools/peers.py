@@ -221,7 +221,7 @@ def judge_mesh(fled, folder):
     ours = None
     for name in ("mesh.ply", "mesh.glb"):
         file = folder.with_name(f"{folder.name}.{name}")
-        told = run([fled, "export", folder, name, "--triangles", 20_000, "-o", file]).strip()
+        facts = run([fled, "export", folder, name, "--triangles", 20_000, "-o", file]).strip()
         ours = ours or formats.of_mesh_ply(file)
         text = subprocess.run(["node", READER, FOLDER / "npm", file], stdout=subprocess.PIPE, check=True).stdout
         theirs, expected = formats.of_three_mesh(text), ours if name.endswith(".ply") else formats.mesh_turned(ours)
@@ -231,7 +231,7 @@ def judge_mesh(fled, folder):
         faults = formats.mesh_faults(theirs) + [part for part, value in apart.items() if not value <= MESH[part]]
         if faults:
             raise SystemExit(f"three.js reads {file} otherwise, or it has faults: {faults}, {apart}")
-        said(f"three.js: {name} of {file.stat().st_size} bytes is as plyfile reads it; {told}")
+        said(f"three.js: {name} of {file.stat().st_size} bytes is as plyfile reads it; {facts}")
 
 
 def judged(who, file, name, ours, theirs):

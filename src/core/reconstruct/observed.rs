@@ -11,7 +11,7 @@ use crate::noise_levels::NoiseLevels;
 use crate::register::Motion;
 use crate::shake::ShakeKernel;
 
-/// What the loss compares the renders of a view with.
+/// The photograph of a view as the loss compares it with renders.
 pub(super) struct Target {
     pub(super) image: Image,
     /// The pixels that count; all without one.
