@@ -1,4 +1,4 @@
-//! What a camera sees of a scene: depth, colour, and how directly it faces the surface.
+//! The view of a camera: depth, colour, and how directly it faces the surface.
 
 use glam::{DVec3, Mat3, Vec2, Vec3};
 
