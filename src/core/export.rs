@@ -152,7 +152,7 @@ impl Export {
             }
             Self::MeshPly => {
                 "A triangle mesh for measuring and collisions, with holes where fewer than two \
-                 photographs see a surface. It takes a minute or more to make."
+                 photographs see a surface."
             }
             Self::MeshGltf => {
                 "The same mesh as binary glTF, for game engines, Blender and three.js."
@@ -160,7 +160,7 @@ impl Export {
         }
     }
 
-    /// Whether it is a mesh, which takes long to make, and memory.
+    /// Whether it is a mesh, which is made as a whole before it is written.
     pub fn is_mesh(self) -> bool {
         matches!(self, Self::MeshPly | Self::MeshGltf)
     }

@@ -2,8 +2,8 @@
 //! into a truncated signed distance, whose zero is the surface (Curless and Levoy 1996).
 //!
 //! Only what two views see is meshed, so the mesh has holes where the photographs leave them, and
-//! [`Facts`] says how large they are. All of it runs on the processor: the same scene gives the
-//! same bytes on every machine.
+//! [`Facts`] says how large they are. All of it runs on the processor, and the same scene gives
+//! the same bytes.
 
 mod coverage;
 mod cubes;
@@ -91,7 +91,7 @@ pub struct Facts {
     pub voxel: f64,
     /// Number of triangles.
     pub triangles: usize,
-    /// Edges of one triangle only: the rims of holes.
+    /// Edges that belong to one triangle only: the rims of holes.
     pub boundary_edges: usize,
     /// Share of the views' pixels in which the scene stops most of the light.
     pub seen: f64,
@@ -106,7 +106,7 @@ impl fmt::Display for Facts {
         write!(
             f,
             "{triangles} triangles from voxels of {}; the mesh covers {met:.1} % of the views' \
-             pixels, of which {seen:.1} % show a surface; {boundary_edges} edges around holes",
+             pixels, and {seen:.1} % show a surface; {boundary_edges} open edges",
             rounded_up(*voxel)
         )
     }
@@ -203,6 +203,7 @@ pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh
     Ok(finished(surface, facts, normalisation))
 }
 
+/// The lengths of a grid with this voxel, by a pixel's side at the median depth.
 fn scale(voxel: f32, pixel: f32) -> Scale {
     let truncation = (TRUNCATION[0] * VOXEL * pixel).max(TRUNCATION[1] * voxel);
     Scale { voxel, truncation }

@@ -44,8 +44,8 @@ fn depths(view: &View, surface: &Surface) -> Vec<f32> {
     depths
 }
 
-/// Draws a triangle of which a part may be behind the camera: a ray is inside if it is on the same
-/// side of the three planes through the camera and an edge.
+/// Draws a triangle, part of which may lie behind the camera. A ray is inside if it is on the same
+/// side of all three planes through the camera and an edge.
 fn draw(view: &View, [a, b, c]: [Vec3; 3], depths: &mut [f32]) {
     if a.z.max(b.z).max(c.z) <= 0.0 {
         return;

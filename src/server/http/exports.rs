@@ -214,8 +214,8 @@ impl Write for Pipe<'_> {
     }
 }
 
-/// The formats that a server makes. A mesh needs minutes and a gigabyte: it is left to the command
-/// line.
+/// The formats that a server makes. A mesh of a large scene may need a gigabyte, which the server's
+/// process must not take: it is left to the command line.
 fn offered() -> impl Iterator<Item = Export> {
     Export::ALL.into_iter().filter(|export| !export.is_mesh())
 }
