@@ -15,7 +15,7 @@ export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-nightly test-browser test-training
-.PHONY: test-openapi test-types test-api test-peers tidy check lint demo bench gpu-pack gpu-check
+.PHONY: test-openapi test-types test-api test-peers test-colours tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -46,6 +46,7 @@ test-nightly: setup onnxruntime matcher ## the tests that CI leaves out
 	@tools/setup.sh postgresql faketime nginx caddy $(if $(CHROMIUM),,chromium)
 	$(CARGO) test --release --locked --workspace --no-run
 	@$(MAKE) --no-print-directory test-widths
+	@$(MAKE) --no-print-directory test-colours
 	$(CARGO) test --release --locked --workspace --test it -- --ignored --test-threads 1
 	$(CARGO) test --release --locked --workspace --lib captures:: -- --ignored
 	$(CARGO) test --release --locked --workspace --test e2e -- --ignored
@@ -94,6 +95,10 @@ test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/v
 test-peers: setup onnxruntime matcher $(if $(FLED),,build) ## scene.ply and exports judged by software that is not ours, under .peers/
 	@$(PYTHON) tools/environment.py .peers/venv tools/peers-requirements.txt
 	.peers/venv/bin/python tools/peers.py $(if $(FLED),--fled $(FLED))
+
+test-colours: $(if $(FLED),,build) ## the colours of photographs and raw files judged by LittleCMS and LibRaw, under .peers/
+	@$(PYTHON) tools/environment.py .peers/colours tools/colours-requirements.txt
+	.peers/colours/bin/python tools/colours.py $(if $(FLED),--fled $(FLED))
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
 	$(CARGO) test --release --locked -p fled-tidy
