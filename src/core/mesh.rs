@@ -177,7 +177,7 @@ fn rounded_up(value: f64) -> String {
 pub fn of(scene: &Scene, cameras: &[NamedCamera], detail: Detail) -> Result<Mesh, MeshError> {
     let normalisation = scene.normalisation;
     let mut views = views(scene, cameras)?;
-    let pixel = view::limited(&mut views).ok_or(MeshError::Nothing)?;
+    let pixel = view::without_far_depths(&mut views).ok_or(MeshError::Nothing)?;
     let wanted = detail.voxel.map(|side| (side * normalisation.scale) as f32);
     let mut voxel = wanted.map_or(VOXEL * pixel, |side| side.max(pixel));
     let places = loop {

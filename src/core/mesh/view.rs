@@ -138,7 +138,7 @@ impl View {
 
 /// Length of a pixel's side at the median depth of the views, which lose their far depths; `None`
 /// if nothing can be fused.
-pub(super) fn limited(views: &mut [View]) -> Option<f32> {
+pub(super) fn without_far_depths(views: &mut [View]) -> Option<f32> {
     let fused = |view: &View| -> Vec<f32> {
         view.pixels.iter().filter(|p| p.facing > 0).map(|p| p.depth).collect()
     };
