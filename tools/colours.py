@@ -13,6 +13,7 @@ import io
 import json
 import struct
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -23,44 +24,28 @@ from PIL import Image, ImageCms, features
 
 import raw_twins
 
+sys.path.append(str(Path(__file__).resolve().parent.parent / "tests" / "golden"))
+from colour import D50_OF_ICC, SPACES, to_pcs
+
 ROWS, COLUMNS, PATCH = 8, 12, 32
 # Levels of 255.
 TOLERANCES = {"png": 1.0, "tif": 1.0, "webp": 1.0, "jpg": 2.0, "heic": 2.0, "dng": 2.0}
 # Levels below which a channel of a raw file is not compared.
 DIM = 30
-BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
-D50 = np.array([0.9642, 1.0, 0.8249])
-D65 = 0.3127, 0.3290
-# Primaries and white, xy, and the exponent of the curve; sRGB's curve where there is none.
-SPACES = {
-    "srgb": ([(0.64, 0.33), (0.30, 0.60), (0.15, 0.06)], D65, None),
-    "p3": ([(0.68, 0.32), (0.265, 0.69), (0.15, 0.06)], D65, None),
-    "adobe": ([(0.64, 0.33), (0.21, 0.71), (0.15, 0.06)], D65, 563 / 256),
-    "prophoto": ([(0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001)], (0.3457, 0.3585), 1.8),
-    "linear": ([(0.64, 0.33), (0.30, 0.60), (0.15, 0.06)], D65, 1.0),
-}
-
-
-def xyz(x, y):
-    return np.array([x / y, 1, (1 - x - y) / y])
 
 
 def profile(name):
     """An ICC profile of version 2 with curves and primaries."""
-    primaries, white, exponent = SPACES[name]
-    matrix = np.stack([xyz(*primary) for primary in primaries], 1)
-    matrix = matrix * np.linalg.solve(matrix, xyz(*white))
-    cones = (BRADFORD @ D50) / (BRADFORD @ xyz(*white))
-    matrix = np.linalg.inv(BRADFORD) @ np.diag(cones) @ BRADFORD @ matrix
+    primaries, white, light_of = SPACES[name]
+    matrix = to_pcs(primaries, white)
     fixed = lambda v: struct.pack(">3i", *(round(65536 * x) for x in v))
-    levels = np.linspace(0, 1, 4096)
-    light = raw_twins.to_light(levels) if exponent is None else levels**exponent
+    light = light_of(np.linspace(0, 1, 4096))
     curve = b"curv\0\0\0\0" + struct.pack(">I", 4096) + np.round(65535 * light).astype(">u2").tobytes()
     text = f"fled {name}".encode() + b"\0"
     tags = {
         b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
         b"cprt": b"text\0\0\0\0public domain\0",
-        b"wtpt": b"XYZ \0\0\0\0" + fixed(D50),
+        b"wtpt": b"XYZ \0\0\0\0" + fixed(D50_OF_ICC),
         **{tag: b"XYZ \0\0\0\0" + fixed(matrix[:, c]) for c, tag in enumerate((b"rXYZ", b"gXYZ", b"bXYZ"))},
         **{tag: curve for tag in (b"rTRC", b"gTRC", b"bTRC")},
     }
@@ -71,7 +56,7 @@ def profile(name):
         body += content + bytes(-len(content) % 4)
     size = start + len(body)
     head = struct.pack(">I4xI", size, 0x02400000) + b"mntrRGB XYZ " + struct.pack(">6H", 2026, 1, 1, 0, 0, 0)
-    return (head + b"acsp" + bytes(28) + fixed(D50)).ljust(128, b"\0") + directory + body
+    return (head + b"acsp" + bytes(28) + fixed(D50_OF_ICC)).ljust(128, b"\0") + directory + body
 
 
 def chart(seed):
@@ -99,7 +84,7 @@ def written(folder, extension, space, seed):
     """Writes a chart; returns its name and what it means in sRGB, levels of 255."""
     colours, icc = chart(seed), profile(space)
     picture = Image.fromarray(enlarged(colours))
-    path = folder / f"{space}.{extension}"
+    path = folder / f"{space.lower()}.{extension}"
     if extension == "heic":
         heif = pillow_heif.from_pillow(picture)
         heif.save(path, quality=-1, chroma=444, icc_profile=icc)
@@ -110,7 +95,7 @@ def written(folder, extension, space, seed):
     to_srgb = ImageCms.profileToProfile(
         Image.open(path).convert("RGB"),
         ImageCms.ImageCmsProfile(io.BytesIO(icc)),
-        ImageCms.ImageCmsProfile(io.BytesIO(profile("srgb"))),
+        ImageCms.ImageCmsProfile(io.BytesIO(profile("SRGB"))),
         renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
     )
     return path, patches(np.asarray(to_srgb).astype(float))
