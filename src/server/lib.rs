@@ -15,6 +15,7 @@ mod process;
 mod rate;
 mod redaction;
 pub mod render;
+mod sample;
 mod serve;
 mod sharing;
 pub mod store;

@@ -76,7 +76,7 @@ const BOUNDARIES: [Boundary; 9] = [
 ];
 
 /// The modules of the server. Each uses only those before it.
-const SERVER: [&str; 22] = [
+const SERVER: [&str; 23] = [
     "error",
     "failpoint",
     "token",
@@ -93,6 +93,7 @@ const SERVER: [&str; 22] = [
     "render",
     "app",
     "sharing",
+    "sample",
     "worker",
     "janitor",
     "webhooks",

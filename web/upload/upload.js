@@ -89,7 +89,7 @@ export function startForm() {
     button.disabled = false;
   }
 
-  /** Opens the finished job of the server's sample, or starts it. */
+  /** Opens the finished job of the server's sample, or starts one with other options. */
   async function sample() {
     problem.textContent = "";
     if (!options.check()) return;
@@ -103,9 +103,11 @@ export function startForm() {
     try {
       /** @type {import("fled-api").Capture} */
       const capture = await api("v1/captures/sample", { method: "POST" });
+      /** @type {import("fled-api").Jobs} */
+      const { jobs: [recorded] } = await api(`v1/jobs?capture_id=${capture.id}`);
       const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
       /** @type {import("fled-api").Job} */
-      const job = await send("v1/jobs", body);
+      const job = options.asFor(recorded) ? recorded : await send("v1/jobs", body);
       if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (!gone && !options.fault(error)) problem.textContent = error.message;
@@ -125,7 +127,8 @@ export function startForm() {
 
   let finished = [];
   function tellTimes() {
-    const times = finished.filter((job) => job.preset === options.preset.value).slice(0, RECENT).map(seconds).sort((a, b) => a - b);
+    // A recorded one took no time here.
+    const times = finished.filter((job) => job.preset === options.preset.value && seconds(job) > 0).slice(0, RECENT).map(seconds).sort((a, b) => a - b);
     const [least, most] = [times[0], times.at(-1)].map(duration);
     usual.textContent = times.length === 0 ? "" : `Recent ${options.preset.value} jobs took ${least === most ? least : `${least} to ${most}`}.`;
   }

@@ -4,9 +4,10 @@
 //!
 //! SPZ's y points up and its z backwards, so the scene is turned by half a turn about x.
 
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 
 use flate2::Compression;
+use flate2::read::GzDecoder;
 use flate2::write::GzEncoder;
 
 use super::Gaussians;
@@ -33,6 +34,9 @@ const BUCKETS: [f32; 2] = [8.0, 16.0];
 
 /// Bytes of a version 4 file before its table of streams.
 const HEADER_4: usize = 32;
+
+/// Bytes before the streams of an unpacked version 3 file.
+const HEADER_3: usize = 16;
 
 /// Zstandard's level: 2 % smaller than its default, 3, in three times the time.
 const LEVEL: i32 = 12;
@@ -78,6 +82,63 @@ pub fn write_version_4(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     out.write_all(&header)?;
     compressed.iter().try_for_each(|bytes| out.write_all(bytes))?;
     out.flush()
+}
+
+/// Reads version 3.
+///
+/// # Errors
+/// Those of gzip; [`io::ErrorKind::InvalidData`] if the file is of another version or its length is
+/// not that of its Gaussians.
+pub fn read_version_3(bytes: &[u8]) -> io::Result<Gaussians> {
+    let mut unpacked = Vec::new();
+    GzDecoder::new(bytes).read_to_end(&mut unpacked)?;
+    unpack(&unpacked)
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, "not a whole SPZ of version 3"))
+}
+
+/// The Gaussians of an unpacked file of version 3; `None` if it is not one.
+fn unpack(bytes: &[u8]) -> Option<Gaussians> {
+    let (header, mut rest) = bytes.split_first_chunk::<HEADER_3>()?;
+    let [.., sh_degree, fractional_bits, _, _] = *header;
+    let count = usize::try_from(u32::from_le_bytes(header[8..12].try_into().ok()?)).ok()?;
+    let is_known = header.starts_with(b"NGSP\x03\0\0\0") && sh_degree <= 3;
+    if !is_known || u32::from(fractional_bits) > MOST_FRACTIONAL_BITS {
+        return None;
+    }
+    let higher = 3 * ((usize::from(sh_degree) + 1).pow(2) - 1);
+    let mut stream = |width: usize| {
+        let (stream, others) = rest.split_at_checked(width.checked_mul(count)?)?;
+        rest = others;
+        Some(stream)
+    };
+    let (means, alphas, colours, scales) = (stream(9)?, stream(1)?, stream(3)?, stream(3)?);
+    let (rotations, harmonics) = (stream(4)?, stream(higher)?);
+    if !rest.is_empty() {
+        return None;
+    }
+    let unit = f64::from(1 << fractional_bits);
+    let mean = |axis: &[u8]| {
+        let fixed = i32::from_le_bytes([0, axis[0], axis[1], axis[2]]) >> 8;
+        (f64::from(fixed) / unit) as f32
+    };
+    let mut gaussians = Gaussians { sh_degree: sh_degree.into(), ..Gaussians::default() };
+    for i in 0..count {
+        let axes = &means[9 * i..][..9];
+        gaussians.means.push([mean(axes), mean(&axes[3..]), mean(&axes[6..])]);
+        // Without an infinite logit, and within half a step.
+        let alpha = (f32::from(alphas[i]) / 255.0).clamp(1.0 / 510.0, 509.0 / 510.0);
+        gaussians.opacity_logits.push((alpha / (1.0 - alpha)).ln());
+        let scale = |axis: usize| f32::from(scales[3 * i + axis]) / STEPS_OF_SCALE;
+        gaussians.log_scales.push(std::array::from_fn(|axis| scale(axis) + LEAST_LOG_SCALE));
+        let packed = rotations[4 * i..].first_chunk()?;
+        gaussians.quats.push(unpack_rotation(u32::from_le_bytes(*packed)));
+        let base = |byte: &u8| (f32::from(*byte) / 255.0 - 0.5) / COLOUR_SCALE;
+        gaussians.sh.extend(colours[3 * i..][..3].iter().map(base));
+        let harmonic = |byte: &u8| (f32::from(*byte) - 128.0) / 128.0;
+        gaussians.sh.extend(harmonics[higher * i..][..higher].iter().map(harmonic));
+    }
+    // Half a turn twice is none.
+    Some(gaussians.turned_y_up())
 }
 
 /// Quantised Gaussians.
@@ -172,6 +233,20 @@ fn pack_rotation(quat: [f64; 4]) -> u32 {
         let magnitude = (511.0 * quat[i].abs() * std::f64::consts::SQRT_2).round() as u32;
         packed << 10 | u32::from(quat[i] * sign < 0.0) << 9 | magnitude
     })
+}
+
+/// The inverse of [`pack_rotation`], as w, x, y, z.
+fn unpack_rotation(mut packed: u32) -> [f32; 4] {
+    let largest = (packed >> 30) as usize;
+    let mut xyzw = [0.0_f32; 4];
+    for i in (0..4).rev().filter(|&i| i != largest) {
+        let magnitude = (packed & 511) as f32 / 511.0 * std::f32::consts::FRAC_1_SQRT_2;
+        xyzw[i] = if packed >> 9 & 1 == 1 { -magnitude } else { magnitude };
+        packed >>= 10;
+    }
+    xyzw[largest] = (1.0 - xyzw.iter().map(|q| q * q).sum::<f32>()).max(0.0).sqrt();
+    let [x, y, z, w] = xyzw;
+    [w, x, y, z]
 }
 
 /// A harmonic from -1 to 1 as the middle of one of its buckets.

@@ -49,12 +49,12 @@ impl BlobCache {
         folders.remove(name);
     }
 
-    /// Puts the files of a new capture into the blob store and returns the files that its row must
-    /// name.
+    /// Puts the files of a new capture, or of a job that ended elsewhere, into the blob store and
+    /// returns the files that its row must name.
     ///
     /// # Errors
     /// When the blob store or the disk fails.
-    pub async fn keep_capture(&self, folder: &Path) -> Result<Vec<Kept>> {
+    pub async fn keep_new(&self, folder: &Path) -> Result<Vec<Kept>> {
         let Some(blobs) = &self.blobs else {
             return Ok(Vec::new());
         };
@@ -63,7 +63,7 @@ impl BlobCache {
         if pushed.skipped > 0 {
             return Err(ServerError::Io {
                 path: folder.to_owned(),
-                source: io::Error::other("a file of a new capture changed while it was stored"),
+                source: io::Error::other("a new file changed while it was stored"),
             });
         }
         Ok(pushed.kept)

@@ -191,12 +191,12 @@ impl DataDir {
 
     /// The output of the job's process: the artifacts.
     pub fn output(&self, id: &str) -> RunFolder {
-        RunFolder::new(self.job(id).join("output"))
+        output_in(&self.job(id))
     }
 
     /// The job's log.
     pub fn log(&self, id: &str) -> PathBuf {
-        self.job(id).join("log.txt")
+        log_in(&self.job(id))
     }
 
     /// Rendered novel views.
@@ -217,6 +217,16 @@ impl DataDir {
         let stat = statvfs(&self.root)?;
         Ok(stat.f_bavail * stat.f_frsize)
     }
+}
+
+/// The output in a job's folder.
+pub fn output_in(job: &Path) -> RunFolder {
+    RunFolder::new(job.join("output"))
+}
+
+/// The log in a job's folder.
+pub fn log_in(job: &Path) -> PathBuf {
+    job.join("log.txt")
 }
 
 /// Writes a file so that after a crash either the old or the new content exists.

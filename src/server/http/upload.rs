@@ -11,6 +11,7 @@ mod videos;
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -37,7 +38,7 @@ use crate::files::upload_locks::UploadLock;
 
 pub use budget::check_space;
 pub use gather::gather;
-pub use keep::Placed;
+pub use keep::{Placed, put};
 
 /// Maximum bytes of a text field. Text fields are short; files are streamed.
 const LONGEST_TEXT: usize = 1 << 16;
@@ -62,6 +63,8 @@ pub struct Upload {
     files: usize,
     /// Bytes it may take on disk, if its owner has a quota.
     most: Option<u64>,
+    /// Bytes of other files that will be its owner's, too.
+    beside: u64,
     /// The resumable uploads that it was gathered from.
     used: Used,
 }
@@ -77,22 +80,25 @@ struct Used {
 }
 
 impl Upload {
-    /// An upload that the server creates itself: `make` fills its folder and returns the number of
-    /// files.
+    /// An upload that the server creates itself, to be stored with `beside` bytes of other files:
+    /// `make` fills its folder and returns the number of files.
     ///
     /// # Errors
-    /// Those of `make`; when a disk operation fails.
+    /// When `make` or another disk operation fails.
     pub(super) async fn made(
         app: &App,
         most: Option<u64>,
+        beside: u64,
         fields: BTreeMap<String, String>,
-        make: impl FnOnce(&Path) -> Result<usize, Problem> + Send + 'static,
+        make: impl FnOnce(&Path) -> io::Result<usize> + Send + 'static,
     ) -> Result<Self, Problem> {
-        let mut upload = Self::empty(app, most)?;
+        let upload = Self::empty(app, most)?;
         let dir = upload.dir.clone();
-        let made = tokio::task::spawn_blocking(move || make(dir.path())).await;
-        upload.files = made.map_err(|_| Problem::internal())??;
-        Ok(Self { fields, ..upload })
+        let made = tokio::task::spawn_blocking(move || {
+            make(dir.path()).map_err(ServerError::io(dir.path()))
+        });
+        let files = made.await.map_err(|_| Problem::internal())??;
+        Ok(Self { fields, files, beside, ..upload })
     }
 
     /// An empty upload.
@@ -105,6 +111,7 @@ impl Upload {
             fingerprint: String::new(),
             files: 0,
             most,
+            beside: 0,
             used: Used::default(),
         })
     }

@@ -11,7 +11,7 @@ use sqlx::Row;
 use super::effects::{Progress, Settlement, advance, apply, settle};
 use super::jobs::read;
 use super::lease::Lease;
-use super::{Engine, Store, events, files};
+use super::{Engine, Store, Tx, events, files};
 use crate::error::{Result, ServerError};
 use crate::store::state::JobState;
 
@@ -130,15 +130,7 @@ impl Store {
             return Ok(());
         }
         match report {
-            Report::Event(event) => {
-                apply(&mut tx, &lease.job, event).await?;
-                let data = serde_json::to_value(event).map_err(|error| ServerError::Damaged {
-                    what: "event",
-                    detail: error.to_string(),
-                })?;
-                let kind = data["event"].as_str().unwrap_or("event").to_owned();
-                events::append(&mut tx, &lease.job, &kind, &data).await?;
-            }
+            Report::Event(event) => record(&mut tx, &lease.job, event).await?,
             Report::Progress(progress) => advance(&mut tx, &lease.job, progress).await?,
             Report::Files(kept, gone) => files::change(&mut tx, &lease.job, kept, gone).await?,
         }
@@ -155,4 +147,13 @@ impl Store {
     fn may_pass(&self, error: &ServerError, since: Instant) -> bool {
         self.engine == Engine::Postgres && since.elapsed() < PATIENCE && error.passes()
     }
+}
+
+/// Applies an event to the job and appends it.
+pub(super) async fn record(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
+    apply(tx, job, event).await?;
+    let data = serde_json::to_value(event)
+        .map_err(|error| ServerError::Damaged { what: "event", detail: error.to_string() })?;
+    let kind = data["event"].as_str().unwrap_or("event").to_owned();
+    events::append(tx, job, &kind, &data).await
 }

@@ -37,49 +37,11 @@ fn unpacked(bytes: &[u8]) -> Vec<u8> {
     all
 }
 
-/// Reads a file as the published readers do.
+/// Reads a file of either version: both hold the same streams.
 fn read(bytes: &[u8]) -> Gaussians {
-    let bytes = unpacked(bytes);
-    let count = u32::from_le_bytes(bytes[8..12].try_into().expect("four")) as usize;
-    let sh_degree = u32::from(bytes[12]);
-    let higher = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1) as usize;
-    let unit = f64::from(1 << bytes[13]);
-    let mut rest = &bytes[16..];
-    let mut part = |width: usize| {
-        let (stream, others) = rest.split_at(width * count);
-        rest = others;
-        stream
-    };
-    let (means, alphas, colours, scales) = (part(9), part(1), part(3), part(3));
-    let (rotations, harmonics) = (part(4), part(higher));
-    assert!(rest.is_empty());
-    let mut scene = Gaussians { sh_degree, ..Gaussians::default() };
-    for i in 0..count {
-        scene.means.push(std::array::from_fn(|axis| {
-            let bytes = &means[9 * i + 3 * axis..][..3];
-            let fixed = i32::from_le_bytes([0, bytes[0], bytes[1], bytes[2]]) >> 8;
-            (f64::from(fixed) / unit) as f32
-        }));
-        let alpha = f32::from(alphas[i]) / 255.0;
-        scene.opacity_logits.push((alpha / (1.0 - alpha)).ln());
-        scene.log_scales.push(std::array::from_fn(|a| f32::from(scales[3 * i + a]) / 16.0 - 10.0));
-        let mut packed = u32::from_le_bytes(rotations[4 * i..][..4].try_into().expect("four"));
-        let largest = (packed >> 30) as usize;
-        let mut xyzw = [0.0_f32; 4];
-        for j in (0..4).rev().filter(|&j| j != largest) {
-            let magnitude = (packed & 511) as f32 / 511.0 * std::f32::consts::FRAC_1_SQRT_2;
-            xyzw[j] = if packed >> 9 & 1 == 1 { -magnitude } else { magnitude };
-            packed >>= 10;
-        }
-        xyzw[largest] = (1.0 - xyzw.iter().map(|q| q * q).sum::<f32>()).max(0.0).sqrt();
-        let [x, y, z, w] = xyzw;
-        scene.quats.push([w, x, y, z]);
-        let base = |byte: &u8| (f32::from(*byte) / 255.0 - 0.5) / 0.15;
-        scene.sh.extend(colours[3 * i..][..3].iter().map(base));
-        let higher = &harmonics[higher * i..][..higher];
-        scene.sh.extend(higher.iter().map(|byte| (f32::from(*byte) - 128.0) / 128.0));
-    }
-    scene
+    let mut bytes = unpacked(bytes);
+    (bytes[4], bytes[15]) = (3, 0);
+    unpack(&bytes).expect("a whole file")
 }
 
 #[test]
@@ -90,7 +52,7 @@ fn a_round_trip_differs_by_at_most_half_a_step() {
         let mut scene = scattered(500, 8.0, degree);
         scene.sh.iter_mut().for_each(|value| *value = value.clamp(-0.98, 0.9));
         let back = read(&written(&scene, version).expect("written"));
-        let found = differences(&scene.turned_y_up(), &back);
+        let found = differences(&scene, &back);
         // 20 bits after the point; half a step of scales, colours and opacities; a step of a
         // rotation, and half a bucket.
         let harmonics = if degree == 1 { 4.0 / 128.0 } else { 8.0 / 128.0 };
@@ -120,7 +82,7 @@ fn the_point_moves_with_the_largest_coordinate() {
         scene.means[1][2] = largest;
         let file = written(&scene, write_version_3).expect("written");
         assert_eq!(unpacked(&file)[13], bits, "{largest}");
-        assert!((read(&file).means[1][2] + largest).abs() <= 0.5_f32.powi(1 + i32::from(bits)));
+        assert!((read(&file).means[1][2] - largest).abs() <= 0.5_f32.powi(1 + i32::from(bits)));
     }
     scene.means[1][2] = 9e6;
     let error = written(&scene, write_version_3).expect_err("too far");
@@ -137,4 +99,28 @@ fn a_scene_in_a_unit_beyond_the_scales_is_refused_and_thin_gaussians_are_not() {
         let error = written(&other, write_version_3).expect_err("beyond");
         assert!(error.to_string().contains("another format"), "{error}");
     }
+}
+
+#[test]
+fn a_file_that_is_cut_or_of_another_version_is_refused() {
+    let scene = scattered(5, 1.0, 1);
+    let file = written(&scene, write_version_3).expect("written");
+    assert_eq!(read_version_3(&file).expect("whole"), read(&file));
+    let refused = |bytes: &[u8]| {
+        let mut gzip = GzEncoder::new(Vec::new(), Compression::default());
+        gzip.write_all(bytes).expect("gzip");
+        let error = read_version_3(&gzip.finish().expect("gzip")).expect_err("refused");
+        assert_eq!(error.kind(), io::ErrorKind::InvalidData);
+    };
+    let whole = unpacked(&file);
+    for length in 0..whole.len() {
+        refused(&whole[..length]);
+    }
+    refused(&[&whole[..], &[0]].concat());
+    for (at, byte) in [(0, b'P'), (4, 2), (12, 4), (13, 25)] {
+        let mut other = whole.clone();
+        other[at] = byte;
+        refused(&other);
+    }
+    assert!(read_version_3(&whole).is_err());
 }

@@ -68,6 +68,7 @@ pub async fn gather(
         fingerprint: String::new(),
         files: rows.len() + beside,
         most,
+        beside: 0,
         used: Used { ids: ids.to_vec(), bytes, locks },
     };
     let (app, dir) = (app.clone(), upload.dir.clone());

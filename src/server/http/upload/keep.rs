@@ -1,6 +1,7 @@
 //! Stores an upload as a capture.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use fled_blobs::Kept;
 use tokio::sync::MutexGuard;
@@ -10,6 +11,7 @@ use super::Upload;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::files::data::{bytes_below, sync_directory};
+use crate::files::incoming::Incoming;
 use crate::files::remove;
 use crate::files::upload_locks::UploadLock;
 use crate::http::access::Visitor;
@@ -106,22 +108,7 @@ impl Upload {
             expires_at: None,
         };
         let to = app.data.capture(&row.id);
-        let moved = {
-            let (dir, to) = (self.dir.clone(), to.clone());
-            tokio::task::spawn_blocking(move || {
-                sync_tree(dir.path())?;
-                std::fs::rename(dir.path(), &to)?;
-                sync_directory(to.parent().unwrap_or(Path::new(".")))
-            })
-        };
-        moved.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(self.dir.path()))?;
-        let kept = match app.blob_cache.keep_capture(&to).await {
-            Ok(kept) => kept,
-            Err(error) => {
-                remove(&to).await;
-                return Err(error.into());
-            }
-        };
+        let kept = put(app, &self.dir, &to).await?;
         Ok(Placed {
             row,
             kept,
@@ -146,10 +133,33 @@ impl Upload {
             .await
             .map_err(|_| Problem::internal())?
             .map_err(ServerError::io(self.dir.path()))?;
-        if left.is_some_and(|left| bytes > left) {
+        if left.is_some_and(|left| bytes + self.beside > left) {
             return Err(over_quota());
         }
         Ok(turn)
+    }
+}
+
+/// Moves a folder to its final place, fsynced, and returns its files in a shared blob store.
+///
+/// # Errors
+/// When the disk or the blob store fails; then nothing is left in that place.
+pub async fn put(app: &App, folder: &Arc<Incoming>, to: &Path) -> Result<Vec<Kept>, Problem> {
+    let moved = {
+        let (folder, to) = (folder.clone(), to.to_owned());
+        tokio::task::spawn_blocking(move || {
+            sync_tree(folder.path())?;
+            std::fs::rename(folder.path(), &to)?;
+            sync_directory(to.parent().unwrap_or(Path::new(".")))
+        })
+    };
+    moved.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(folder.path()))?;
+    match app.blob_cache.keep_new(to).await {
+        Ok(kept) => Ok(kept),
+        Err(error) => {
+            remove(to).await;
+            Err(error.into())
+        }
     }
 }
 

@@ -156,19 +156,6 @@ fn photographs_of_a_zip_take_turns_with_exports() {
 }
 
 #[test]
-fn a_sample_is_a_capture_like_any_other() {
-    let server = Server::start();
-    let reply = server.post("/v1/captures/sample", &[], &[]).expect(201);
-    let capture = reply.json();
-    let id = capture["id"].as_str().expect("id");
-    assert_eq!(reply.location(), format!("/v1/captures/{id}"));
-    assert_eq!((&capture["accepted"], &capture["warnings"]), (&20.into(), &serde_json::json!([])));
-    let body = serde_json::json!({ "capture_id": id, "options": { "adapter": "ok" } });
-    let job = server.post_json("/v1/jobs", &body, &[]).expect(202).json();
-    server.wait_state(job["id"].as_str().expect("id"), "succeeded");
-}
-
-#[test]
 fn ambiguous_poses_are_refused_naming_both_photographs() {
     let server = Server::start();
     let frame = |name: &str| {

@@ -22,6 +22,7 @@ mod orders;
 mod orphans;
 mod proxies;
 mod results;
+mod sample;
 mod shares;
 mod support;
 mod throughput;
