@@ -3,7 +3,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::is_of_a_run;
+use fled_core::capture::{is_of_a_run, limit_reader};
 use fled_core::export::{Crop, Export, ExportError, MOST_SH_DEGREE, Trim};
 use fled_core::mesh::Detail;
 use fled_core::pipeline::error::ErrorKind;
@@ -40,6 +40,9 @@ pub struct Args {
     /// the scene's median depth].
     #[arg(long, value_name = "LENGTH", value_parser = voxel)]
     voxel: Option<f64>,
+    /// Bytes of address space; the process ends if it needs more.
+    #[arg(long, value_name = "BYTES", hide = true)]
+    memory: Option<u64>,
 }
 
 fn triangles(text: &str) -> Result<usize, String> {
@@ -59,6 +62,9 @@ fn forms() -> String {
 /// # Errors
 /// [`Failure`] if the run lacks the required files, or the file cannot be written.
 pub fn main(args: &Args) -> Result<(), Failure> {
+    if let Some(memory) = args.memory {
+        limit_reader(memory).map_err(|error| Failure::new(ErrorKind::Io, error))?;
+    }
     let run = RunFolder::new(&args.run);
     let mesh = Detail { triangles: args.triangles, voxel: args.voxel };
     let trim = Trim { crop: args.crop, sh_degree: args.sh_degree, mesh };

@@ -51,6 +51,8 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
+    /// Held while a mesh is made.
+    pub meshing: tokio::sync::Mutex<()>,
     /// Permits for generating exports while they are sent.
     pub exporting: Arc<Semaphore>,
     /// Counters for `/metrics`.
@@ -89,6 +91,7 @@ impl App {
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
+            meshing: tokio::sync::Mutex::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
             running: Running::default(),

@@ -43,6 +43,9 @@ pub struct ServeConfig {
     /// Program and first arguments of the process that makes a video; the result and the plan of
     /// `fled video` follow.
     pub video_command: Vec<OsString>,
+    /// Program and first arguments of the process that makes a mesh; the arguments of `fled export`
+    /// follow.
+    pub export_command: Vec<OsString>,
     /// Program and arguments of a process that checks the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
     /// Whether webhooks may point to addresses in internal networks.
@@ -84,6 +87,7 @@ impl ServeConfig {
             render_command: command(&["render-worker"]),
             assess_command: command(&["assess-worker"]),
             video_command: command(&["video"]),
+            export_command: command(&["export"]),
             doctor_command: command(&["doctor", "--json", "--no-training"]),
             inner_webhooks: false,
             ffmpeg: "ffmpeg".into(),
@@ -167,6 +171,10 @@ pub struct Limits {
     pub stall: Duration,
     /// Longest wait for one render.
     pub render: Duration,
+    /// Longest time that a mesh may take.
+    pub meshing: Duration,
+    /// Address space of the process that makes a mesh, in bytes.
+    pub mesh_bytes: u64,
     /// Renders kept for a job.
     pub kept_renders: usize,
     /// Maximum exports and photographs from a ZIP at a time; more are refused.
@@ -229,6 +237,8 @@ impl Default for Limits {
             header: Duration::from_secs(30),
             stall: Duration::from_secs(30),
             render: Duration::from_secs(90),
+            meshing: Duration::from_secs(300),
+            mesh_bytes: 3 << 30,
             kept_renders: 400,
             exports: 4,
             videos_of_job: 20,

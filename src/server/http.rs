@@ -22,6 +22,7 @@ mod live;
 mod log;
 mod login;
 mod lookup;
+mod meshes;
 mod metrics;
 mod openapi;
 mod options;

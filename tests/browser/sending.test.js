@@ -119,6 +119,19 @@ test("an upload can be cancelled, and Start resumes it", () =>
     assert.equal(of(asked, "POST").length, new Set(pieces()).size, "every file was begun once");
   }, "phone"));
 
+test("photographs are not sent while there is no room for their job", () =>
+  stand.visit("sending-no-room", "", async (page, faults) => {
+    const asked = requests(page);
+    const problem = { status: 429, code: "quota_jobs", detail: "At most 1 of your jobs may wait or run at a time." };
+    await page.route("**/v1/uploads", (route) =>
+      route.fulfill({ status: 429, contentType: "application/problem+json", headers: { "Retry-After": "60" }, body: JSON.stringify(problem) }));
+    await start(page);
+    await seen(page.getByRole("alert"), problem.detail);
+    await until("it can be tried again", () => button(page, "Start").isEnabled());
+    assert.deepEqual(of(asked, "PATCH"), []);
+    provoked(faults, "429");
+  }));
+
 /** Starts a photograph of some megabytes, through a proxy that refuses larger bodies. */
 async function throughProxy(name, largest, judge) {
   const proxy = await Proxy.start(stand.server.base, "", largest);
@@ -177,3 +190,20 @@ test("the sample opens at once where a job of it with these options has finished
     assert.deepEqual(made, []);
   });
 });
+
+test("the sample that ships opens finished, and is made once", () =>
+  stand.visit("sample-shipped", "", async (page) => {
+    const made = [];
+    page.on("request", (request) => { if (request.method() === "POST") made.push(new URL(request.url()).pathname); });
+    for (const _ of ["made", "found"]) {
+      await button(page, "Try a sample").click();
+      await arrived(page);
+      await page.getByText("better than brightening alone").waitFor();
+      await page.getByText("ships with the server").waitFor();
+      await page.getByRole("link", { name: "Jobs" }).click();
+      await page.getByText("a dark room").first().waitFor();
+    }
+    assert.deepEqual(made, ["/v1/captures/sample"]);
+    // It took no time here, so it tells nothing about other jobs.
+    assert.equal(await page.getByText("Recent auto jobs took").count(), 0);
+  }));

@@ -56,7 +56,7 @@ export class Refusal extends Error {
    */
   constructor(status, problem) {
     super([problem?.detail ?? `The server responded with status ${status}.`, problem?.hint].filter(Boolean).join("\n"));
-    Object.assign(this, { status, detail: problem?.detail, pointer: problem?.pointer, capture: problem?.capture });
+    Object.assign(this, { status, code: problem?.code, detail: problem?.detail, pointer: problem?.pointer, capture: problem?.capture });
   }
 }
 

@@ -14,6 +14,8 @@ const AT_ONCE = 3;
 const WAITS = [1, 2, 5, 10, 20, 30];
 /** Statuses worth a retry: the upload is locked, too many requests, a proxy's error. */
 const LATER = [408, 409, 423, 429, 460, 502, 503, 504];
+/** Codes of refusals that may last for hours, until a job ends. */
+const NO_ROOM = ["queue_full", "quota_jobs"];
 
 /**
  * Sends `[path, file]` pairs. `done` is a promise of their ids; `report({ sent, total, files,
@@ -57,7 +59,7 @@ export function sending(files, report) {
     });
   }
 
-  const passes = (fault) => fault === null || LATER.includes(fault.status);
+  const passes = (fault) => fault === null || (LATER.includes(fault.status) && !NO_ROOM.includes(fault.code));
 
   /** Waits before a retry, by the number of failures. */
   async function waitOut(fault, failures) {
@@ -138,7 +140,7 @@ export function sending(files, report) {
   }
 
   async function begin(path, file) {
-    const metadata = `filename ${base64(path)}`;
+    const metadata = `filename ${base64(path)},for ${base64("job")}`;
     const headers = { "Tus-Resumable": "1.0.0", "Upload-Length": String(file.size), "Upload-Metadata": metadata };
     const answer = await ask("POST", UPLOADS, headers);
     return answer.getResponseHeader("Location").split("/").pop();

@@ -6,6 +6,7 @@
 
 mod death;
 mod job;
+mod mesh;
 mod protocol;
 mod saved;
 mod scores;
@@ -41,13 +42,14 @@ fn play(arguments: &[OsString]) -> Result<(), Box<dyn std::error::Error>> {
         Some("render-worker") => render_worker(),
         Some("assess-worker") => assess_worker(),
         Some("video") => video::make(&arguments[1..]),
+        Some("export") => mesh::make(&arguments[1..]),
         Some("doctor") => {
             say(
                 r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}],"has_gpu":false}"#,
             );
             Ok(())
         }
-        _ => Err("one of serve, run, render-worker, assess-worker, video, doctor".into()),
+        _ => Err("one of serve, run, render-worker, assess-worker, video, export, doctor".into()),
     }
 }
 
@@ -73,6 +75,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         render_command: command("render-worker"),
         assess_command: command("assess-worker"),
         video_command: command("video"),
+        export_command: command("export"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG").unwrap_or_else(|| "ffmpeg".into()).into(),
@@ -140,6 +143,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         photograph: Duration::from_millis(number("FLED_FAKE_PHOTOGRAPH_MS", 60_000)?),
         deaths_without_progress: number("FLED_FAKE_DEATHS", 5)? as u32,
         exports: number("FLED_FAKE_EXPORTS", 4)? as usize,
+        meshing: Duration::from_millis(number("FLED_FAKE_MESHING_MS", 60_000)?),
         ..Limits::default()
     })
 }

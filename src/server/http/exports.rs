@@ -1,6 +1,7 @@
 //! `/v1/jobs/{id}/exports`: a finished result in the formats of other programs, created while it is
 //! sent.
 
+use std::ffi::OsString;
 use std::io::{self, Write};
 use std::sync::Arc;
 
@@ -9,6 +10,8 @@ use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Prepared, Trim};
+use fled_core::mesh::Detail;
+use fled_core::run_folder::RunFolder;
 use futures::stream::poll_fn;
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
@@ -16,6 +19,7 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
 use super::lookup::finished;
+use super::meshes;
 use super::problem::Problem;
 use crate::app::App;
 use crate::redaction::without_paths;
@@ -52,6 +56,12 @@ pub struct DownloadQuery {
     /// Degree of a scene's harmonics: they are cut, or padded with zeros.
     #[param(minimum = 0, maximum = 3)]
     sh_degree: Option<u32>,
+    /// Most triangles of a mesh: its voxels grow until it has no more; 200,000 by default, or any
+    /// number with `voxel`.
+    triangles: Option<usize>,
+    /// Side of a mesh's voxels, in units of the poses' world; by default three pixels of the views
+    /// at the scene's median depth.
+    voxel: Option<f64>,
 }
 
 impl DownloadQuery {
@@ -67,7 +77,25 @@ impl DownloadQuery {
             let fault = format!("`sh_degree` must be from 0 to {MOST_SH_DEGREE}");
             return Err(refused("sh_degree", fault));
         }
-        Ok(Trim { crop, sh_degree: self.sh_degree, ..Trim::default() })
+        let triangles = self.triangles.map(Detail::triangles).transpose();
+        let triangles =
+            triangles.map_err(|fault| refused("triangles", format!("`triangles` {fault}")))?;
+        let voxel = self.voxel.map(Detail::voxel).transpose();
+        let voxel = voxel.map_err(|fault| refused("voxel", format!("`voxel` {fault}")))?;
+        Ok(Trim { crop, sh_degree: self.sh_degree, mesh: Detail { triangles, voxel } })
+    }
+
+    /// The arguments of `fled export`.
+    fn arguments(&self, run: &RunFolder, export: Export) -> Vec<OsString> {
+        let mut arguments = vec![run.root().into(), export.name().into()];
+        let mut add = |name: &str, value: Option<String>| {
+            arguments.extend(value.map(|value| format!("--{name}={value}").into()));
+        };
+        add("round", self.round.map(|round| round.to_string()));
+        add("crop", self.crop.clone());
+        add("triangles", self.triangles.map(|triangles| triangles.to_string()));
+        add("voxel", self.voxel.map(|voxel| voxel.to_string()));
+        arguments
     }
 }
 
@@ -115,7 +143,7 @@ pub async fn list(
                 None
             }
         };
-        offered().filter_map(form).collect()
+        Export::ALL.into_iter().filter_map(form).collect()
     });
     let exports = exports.await.map_err(|_| Problem::internal())?;
     Ok(axum::Json(Exports { exports }))
@@ -123,7 +151,8 @@ pub async fn list(
 
 /// Exports the result in one format.
 ///
-/// The file is made while it is sent, so its length is unknown and ranges are not supported.
+/// The file is made while it is sent, so its length is unknown and ranges are not supported. A mesh
+/// takes seconds; one is made at a time.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
     tag = "results",
     params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), DownloadQuery),
@@ -131,7 +160,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The crop or the degree cannot be used, or this export has no scene", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "The crop, the degree or the mesh cannot be used, or this export has no scene", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
@@ -141,10 +170,6 @@ pub async fn download(
     let export: Export = name
         .parse()
         .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
-    if export.is_mesh() {
-        let hint = "Make it from the job's files: `fled export DIR mesh.ply`.";
-        return Err(Problem::not_found("export").hint(hint));
-    }
     let trim = query.trim()?;
     let round = finished(&app, &id, query.round).await?;
     // Compression holds a whole scene in memory.
@@ -155,14 +180,21 @@ pub async fn download(
     let prepared = tokio::task::spawn_blocking(prepare);
     let prepared = prepared.await.map_err(|_| Problem::internal())?;
     let (prepared, turn) = prepared.map_err(|error| refused(&error))?;
-    let body = body_of(move |pieces| {
-        make(&prepared, pieces, &id);
-        drop(turn);
-    });
     let headers = [
         (header::CONTENT_TYPE, media_type(export).to_owned()),
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", export.name())),
     ];
+    if export.is_mesh() {
+        drop(prepared);
+        let arguments = query.arguments(&app.data.output(&id), export);
+        let made = meshes::make(&app, arguments).await?;
+        drop(turn);
+        return Ok((headers, made).into_response());
+    }
+    let body = body_of(move |pieces| {
+        make(&prepared, pieces, &id);
+        drop(turn);
+    });
     Ok((headers, body).into_response())
 }
 
@@ -212,12 +244,6 @@ impl Write for Pipe<'_> {
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }
-}
-
-/// The formats that a server makes. A mesh of a large scene may need a gigabyte, which the server's
-/// process must not take: it is left to the command line.
-fn offered() -> impl Iterator<Item = Export> {
-    Export::ALL.into_iter().filter(|export| !export.is_mesh())
 }
 
 fn media_type(export: Export) -> &'static str {

@@ -18,6 +18,7 @@ use crate::files::remove;
 use crate::http::access::Visitor;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::{bytes_left, over_quota};
+use crate::http::room::check_room;
 use crate::http::upload::to_its_end;
 use crate::store::UploadRow;
 
@@ -35,8 +36,8 @@ pub(super) struct Begun {
 /// Creates an upload, with its first piece if the request contains one.
 ///
 /// # Errors
-/// 400 for header fields that cannot be read, 422 for unsupported values, 413, 429 and 507 if there
-/// is no room, and the errors of the first piece. On an error no upload is created.
+/// 400 for header fields that cannot be read, 422 for unsupported values, 413, 429, 503 and 507 if
+/// there is no room, and the errors of the first piece. On an error no upload is created.
 pub(super) async fn begin(
     app: &Arc<App>,
     visitor: &Visitor,
@@ -52,6 +53,9 @@ pub(super) async fn begin(
     }
     if app.has_no_space_for(length) {
         return Err(disk_full());
+    }
+    if metadata.is_for_job {
+        check_room(app, visitor).await?;
     }
     let row = UploadRow {
         id: Uuid::now_v7().to_string(),

@@ -14,11 +14,13 @@ use crate::http::upload::LONGEST_FILE_NAME;
 /// Maximum length of the metadata in bytes: they are stored with every upload.
 const LONGEST: usize = 8 << 10;
 
-/// The metadata as sent, and the file name in them.
+/// The metadata as sent, and what they say.
 #[derive(Debug)]
 pub(super) struct Metadata {
     pub(super) sent: String,
     pub(super) filename: String,
+    /// Whether `for` announces that a job will be made of it.
+    pub(super) is_for_job: bool,
 }
 
 impl Metadata {
@@ -38,7 +40,8 @@ impl Metadata {
         match String::from_utf8(filename) {
             Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => {
                 check_text(&filename, "/filename")?;
-                Ok(Self { sent: sent.to_owned(), filename })
+                let is_for_job = read.get("for").is_some_and(|purpose| purpose == b"job");
+                Ok(Self { sent: sent.to_owned(), filename, is_for_job })
             }
             _ => Err(unfit(format!(
                 "`Upload-Metadata` needs a `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."

@@ -1,5 +1,6 @@
 //! Exports through a real server process.
 
+use std::fs;
 use std::io::Cursor;
 
 use crate::support::Server;
@@ -8,7 +9,7 @@ use fled_tests::Reply;
 use serde_json::json;
 use zip::ZipArchive;
 
-const FORMS: [&str; 12] = [
+const FORMS: [&str; 14] = [
     "restored.zip",
     "linear.zip",
     "colmap.zip",
@@ -21,6 +22,8 @@ const FORMS: [&str; 12] = [
     "scene.v3.spz",
     "scene.spz",
     "scene.sog",
+    "mesh.ply",
+    "mesh.glb",
 ];
 
 fn names(reply: &Reply) -> Vec<String> {
@@ -48,8 +51,9 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
         let sent = reply.body.len() as u64;
         // Equal balls compress better than any scene, and drawn pictures than any render.
         let is_compressed = ["spz", "sog", ".zip"].iter().any(|end| name.ends_with(end));
-        let is_near = sent < 2 * said && (is_compressed || said / 2 < sent);
-        assert!(is_near, "{name}: {said}, {sent}");
+        // The size of a mesh is that of the largest.
+        let may_be_small = is_compressed || name.starts_with("mesh");
+        assert!(sent < 2 * said && (may_be_small || said / 2 < sent), "{name}: {said}, {sent}");
         let disposition = reply.header("content-disposition").to_owned();
         assert_eq!(disposition, format!("attachment; filename=\"{name}\""));
     }
@@ -90,13 +94,50 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
         let detail = problem["detail"].as_str().expect("a detail");
         assert!(detail.contains(fault), "{detail}");
     }
-    let mesh = server.get(&format!("/v1/jobs/{job}/exports/mesh.ply"), &[]).expect(404).json();
-    assert!(mesh["hint"].as_str().expect("a hint").contains("fled export"), "{mesh}");
     let problem = get("?crop=sphere:900,0,0,1").expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
     assert!(detail.contains("no Gaussian's centre is inside the crop"), "{detail}");
     let zip = server.get(&format!("/v1/jobs/{job}/exports/restored.zip?sh_degree=1"), &[]);
     assert_eq!(zip.expect(422).json()["code"], "bad_input");
+}
+
+#[test]
+fn a_mesh_is_made_by_a_process_with_limits() {
+    let make = |server: &Server, query: &str| {
+        let job = server.job("splats");
+        server.wait_state(&job, "succeeded");
+        server.get(&format!("/v1/jobs/{job}/exports/mesh.ply{query}"), &[])
+    };
+    let server = Server::start();
+    let made = make(&server, "?crop=sphere:0,0,0,1000&triangles=5000&voxel=0.25").expect(200);
+    assert_eq!(made.header("content-disposition"), "attachment; filename=\"mesh.ply\"");
+    let words = made.text();
+    let words: Vec<&str> = words.lines().skip(1).collect();
+    let memory = format!("{}", 3_u64 << 30);
+    let expected =
+        ["mesh.ply", "--crop=sphere:0,0,0,1000", "--triangles=5000", "--voxel=0.25", "--memory"];
+    assert_eq!(words, [&expected[..], &[&memory]].concat());
+    for (query, pointer) in [("triangles=3", "/triangles"), ("voxel=-1", "/voxel")] {
+        let refused = make(&server, &format!("?{query}")).expect(422).json();
+        assert_eq!(refused["pointer"], pointer, "{refused}");
+    }
+    let refused = make(&server, "?sh_degree=1").expect(422).json();
+    assert!(refused["detail"].as_str().is_some_and(|text| text.contains("harmonics")));
+    for (plan, status, words) in [
+        ("empty", 409, "no surface is seen"),
+        ("fine", 422, "No mesh can be made"),
+        ("large", 422, "3072 MiB of memory"),
+        ("slow", 422, "more than 1 s"),
+    ] {
+        let plan = [("FLED_FAKE_MESH", plan), ("FLED_FAKE_MESHING_MS", "1000")];
+        let server = Server::start_with(&plan);
+        let problem = make(&server, "").expect(status).json();
+        let detail = problem["detail"].as_str().expect("a detail");
+        assert!(detail.contains(words), "{detail}");
+        assert!(problem["hint"].as_str().expect("a hint").contains("voxel"), "{problem}");
+        let incoming = server.data.path().join("data/incoming");
+        assert_eq!(fs::read_dir(incoming).expect("a folder").count(), 0);
+    }
 }
 
 #[test]

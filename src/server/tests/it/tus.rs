@@ -371,3 +371,19 @@ fn below_the_watermark_no_piece_is_accepted() {
     tus.patch(&path, 1, b"bcd").expect(507);
     assert_eq!((tus.offset(&path), files(&server)), (1, 1));
 }
+
+#[test]
+fn an_upload_for_a_job_is_refused_while_there_is_no_room_for_one() {
+    let server = Server::start_with(&[("FLED_FAKE_QUEUE", "0")]);
+    let tus = Tus::new(&server);
+    let for_a = |purpose: &str| {
+        let metadata = format!("{},for {}", NAMED.1, base64(purpose.as_bytes()));
+        let headers = [(NAMED.0, &*metadata), ("upload-length", "1")];
+        tus.ask("POST", "/v1/uploads", &headers, b"")
+    };
+    let refused = for_a("job").expect(503);
+    assert_eq!(refused.json()["code"], "queue_full");
+    assert_eq!((refused.header("retry-after"), files(&server)), ("60", 0));
+    for_a("capture").expect(201);
+    tus.create("a.png", 1);
+}
