@@ -14,8 +14,15 @@ use crate::{GpuError, Kernel};
 /// Longest wait for the device: far above any step, yet short enough for a hung driver.
 const TIMEOUT: Duration = Duration::from_secs(300);
 
-/// The flag of a heap that lies on the device: VK_MEMORY_HEAP_DEVICE_LOCAL_BIT.
-const DEVICE_LOCAL: u32 = 1;
+/// The graphics APIs whose adapters are listed, and their names in messages. Vulkan comes first: no
+/// other has run the kernels.
+#[cfg(not(any(windows, target_vendor = "apple")))]
+const APIS: (wgpu::Backends, &str) = (wgpu::Backends::VULKAN, "Vulkan");
+#[cfg(windows)]
+const APIS: (wgpu::Backends, &str) =
+    (wgpu::Backends::VULKAN.union(wgpu::Backends::DX12), "Vulkan or Direct3D 12");
+#[cfg(target_vendor = "apple")]
+const APIS: (wgpu::Backends, &str) = (wgpu::Backends::METAL, "Metal");
 
 /// A handle of the device. Clones are cheap and share everything.
 #[derive(Clone)]
@@ -172,12 +179,12 @@ pub struct Submission(pub(crate) wgpu::SubmissionIndex);
 
 fn adapters() -> Vec<wgpu::Adapter> {
     let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
-    descriptor.backends = wgpu::Backends::VULKAN;
+    descriptor.backends = APIS.0;
     // Validation of indirect dispatches costs an additional dispatch each; the kernels that
     // write the arguments fold them below 65,535 per dimension (shared/grid.wgsl).
     descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
     let instance = wgpu::Instance::new(descriptor);
-    pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN))
+    pollster::block_on(instance.enumerate_adapters(APIS.0))
 }
 
 fn choose(adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, GpuError> {
@@ -191,7 +198,7 @@ fn choose(adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, G
         .min_by_key(|a| device_type(a.get_info().device_type))
         .ok_or_else(|| {
             let reason = if wanted == "auto" {
-                "no Vulkan driver".to_owned()
+                format!("no {} driver", APIS.1)
             } else {
                 format!("none is named `{wanted}`")
             };
@@ -216,9 +223,12 @@ fn own_memory(adapter: &wgpu::Adapter) -> Option<u64> {
     has_own.then(|| largest_heap(adapter)).flatten()
 }
 
-/// Bytes of the largest heap that lies on a Vulkan device.
+/// Bytes of the largest heap that lies on the device; `None` if its API is not Vulkan.
+#[cfg(not(target_vendor = "apple"))]
 #[allow(unsafe_code)]
 fn largest_heap(adapter: &wgpu::Adapter) -> Option<u64> {
+    /// The flag of a heap that lies on the device: VK_MEMORY_HEAP_DEVICE_LOCAL_BIT.
+    const DEVICE_LOCAL: u32 = 1;
     // SAFETY: the adapter is alive until the end of this function, which destroys nothing, and the
     // physical device belongs to the instance that is asked.
     let properties = unsafe {
@@ -229,6 +239,12 @@ fn largest_heap(adapter: &wgpu::Adapter) -> Option<u64> {
     let heaps = properties.memory_heaps_as_slice().iter();
     let local = heaps.filter(|heap| heap.flags.as_raw() & DEVICE_LOCAL != 0);
     local.map(|heap| heap.size).max()
+}
+
+/// Metal tells no heaps. The GPUs of Apple's own processors share the processor's memory.
+#[cfg(target_vendor = "apple")]
+fn largest_heap(_: &wgpu::Adapter) -> Option<u64> {
+    None
 }
 
 fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
