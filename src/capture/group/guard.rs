@@ -1,12 +1,20 @@
 //! The guard against a parent's death: a process ends when its parent ends, for whatever reason.
 
+#[cfg(target_os = "linux")]
+mod kernel;
+mod parent;
+#[cfg(any(test, not(target_os = "linux")))]
+mod watch;
+
 use std::ffi::{OsStr, OsString};
 use std::io;
-use std::os::unix::process::CommandExt;
 use std::path::{Path, absolute};
 use std::process::{Command, ExitCode};
 
-use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+#[cfg(target_os = "linux")]
+use kernel as system;
+#[cfg(not(target_os = "linux"))]
+use watch as system;
 
 /// The subcommand that turns this program into another one: see [`become_guarded`].
 pub const GUARD: &str = "guard";
@@ -15,24 +23,18 @@ pub const GUARD: &str = "guard";
 const NOT_FOUND: u8 = 127;
 const NOT_STARTED: u8 = 126;
 
-/// Asks the kernel to end this process when its parent, the process with the id `parent`, ends for
-/// whatever reason.
+/// Makes this process end when its parent, the process with the id `parent`, ends for whatever
+/// reason: on Linux by the kernel, elsewhere by a thread that looks for the parent.
 ///
 /// # Errors
-/// If the parent has already gone, or the kernel refuses.
+/// If the parent has already gone, or the system refuses.
 pub fn die_with(parent: &OsStr) -> io::Result<()> {
-    set_parent_process_death_signal(Some(Signal::KILL))?;
-    // It may have ended before the request.
-    let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
-    if now.is_some_and(|now| *parent == *now) {
-        return Ok(());
-    }
-    Err(io::Error::other("what started this process is gone"))
+    system::die_with(parent)
 }
 
 /// Returns a command that starts `program`, with the arguments that follow, in a process that ends
-/// with this one. Start it from a thread that lives as long as that process may live: the kernel
-/// watches the thread.
+/// with this one. Start it from a thread that lives as long as that process may live: Linux watches
+/// the thread.
 ///
 /// # Errors
 /// When the path of the running program is unknown.
@@ -54,11 +56,7 @@ pub fn become_guarded(arguments: &[OsString]) -> ExitCode {
         eprintln!("give a process to end with, a program and its arguments");
         return ExitCode::FAILURE;
     };
-    // The death signal survives `exec`.
-    let error = match die_with(parent) {
-        Ok(()) => Command::new(program).args(arguments).exec(),
-        Err(error) => error,
-    };
+    let error = system::become_program(parent, Command::new(program).args(arguments));
     eprintln!("{error}");
     ExitCode::from(match error.kind() {
         io::ErrorKind::NotFound => NOT_FOUND,
