@@ -3,6 +3,7 @@
 use std::io;
 use std::time::Duration;
 
+#[cfg(unix)]
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 /// Maximum time to read a photograph. The largest take seconds.
@@ -26,6 +27,7 @@ pub fn reader_memory(side: usize) -> u64 {
 ///
 /// # Errors
 /// If the system refuses.
+#[cfg(unix)]
 pub fn limit_reader(memory: u64) -> io::Result<()> {
     let at_most = |resource: Resource, bytes: u64| {
         let bytes = getrlimit(resource).maximum.map_or(bytes, |maximum| bytes.min(maximum));
@@ -34,4 +36,13 @@ pub fn limit_reader(memory: u64) -> io::Result<()> {
     at_most(Resource::As, memory)?;
     at_most(Resource::Core, 0)?;
     Ok(())
+}
+
+/// Refuses: what limits memory on Windows needs `unsafe` or a crate that does it for us.
+///
+/// # Errors
+/// Always.
+#[cfg(windows)]
+pub fn limit_reader(_: u64) -> io::Result<()> {
+    Err(io::ErrorKind::Unsupported.into())
 }

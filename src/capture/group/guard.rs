@@ -1,9 +1,12 @@
 //! The guard against a parent's death: a process ends when its parent ends, for whatever reason.
 
+#[cfg(windows)]
+mod job;
 #[cfg(target_os = "linux")]
 mod kernel;
+#[cfg(unix)]
 mod parent;
-#[cfg(any(test, not(target_os = "linux")))]
+#[cfg(all(unix, any(test, not(target_os = "linux"))))]
 mod watch;
 
 use std::ffi::{OsStr, OsString};
@@ -11,9 +14,11 @@ use std::io;
 use std::path::{Path, absolute};
 use std::process::{Command, ExitCode};
 
+#[cfg(windows)]
+use job as system;
 #[cfg(target_os = "linux")]
 use kernel as system;
-#[cfg(not(target_os = "linux"))]
+#[cfg(all(unix, not(target_os = "linux")))]
 use watch as system;
 
 /// The subcommand that turns this program into another one: see [`become_guarded`].
@@ -24,7 +29,8 @@ const NOT_FOUND: u8 = 127;
 const NOT_STARTED: u8 = 126;
 
 /// Makes this process end when its parent, the process with the id `parent`, ends for whatever
-/// reason: on Linux by the kernel, elsewhere by a thread that looks for the parent.
+/// reason: on Linux by the kernel, on Windows by the job that it is in, elsewhere by a thread that
+/// looks for the parent.
 ///
 /// # Errors
 /// If the parent has already gone, or the system refuses.
