@@ -15,7 +15,7 @@ export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-nightly test-browser test-training
-.PHONY: test-openapi test-types test-api test-peers test-colours tidy check lint demo bench gpu-pack gpu-check
+.PHONY: test-openapi test-types test-api test-peers test-colours tidy check check-systems lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -105,6 +105,9 @@ tidy: ## the rules of the house alone: fast, needs no GPU and no library
 
 check: ## types only, the fastest answer
 	$(CARGO) check --release --locked --workspace --all-targets
+
+check-systems: ## all but the service compiles for macOS and Windows; needs rustup, runs nothing
+	@tools/check_systems.sh
 
 lint: ## format and clippy, as strict as CI
 	$(CARGO) fmt --all --check
