@@ -2,8 +2,11 @@
 //!
 //! A picture without a profile is sRGB. A profile of curves and primaries (ICC "matrix/TRC", or
 //! code points of ITU-T H.273, or PNG's `gAMA` and `cHRM`) is converted without clipping: colours
-//! outside of sRGB have light below 0 or above 1. Profiles of tables are converted by `moxcms` to
-//! 16-bit sRGB. White stays white (media-relative, ICC.1:2022).
+//! outside of sRGB have light below 0 or above 1. So is CMYK by a profile's table ([`inks`]). RGB
+//! with profiles of tables is converted by `moxcms` to 16-bit sRGB. White stays white
+//! (media-relative, ICC.1:2022).
+
+mod inks;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -12,6 +15,7 @@ use moxcms::{
     ProfileText, RenderingIntent, ToneCurveEvaluator, ToneReprCurve, TransformOptions,
 };
 
+pub(super) use self::inks::Inks;
 use super::transfer::srgb_to_linear;
 use super::{Image, Linear};
 
@@ -43,6 +47,17 @@ enum Form {
     Srgb,
     Matrix(Box<Shaper>),
     Tables(Box<ColorProfile>),
+    Inks(Box<Inks>),
+    /// Values are light.
+    Light,
+}
+
+/// What the samples of a picture are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Channels {
+    Grey,
+    Rgb,
+    Cmyk,
 }
 
 /// A curve for each channel, then a matrix.
@@ -91,35 +106,41 @@ impl Colour {
         Self { name: None, form: Form::Srgb }
     }
 
+    /// Light of sRGB's primaries.
+    pub(super) fn light_itself() -> Self {
+        Self { name: None, form: Form::Light }
+    }
+
     /// Adobe RGB (1998).
     pub(super) fn adobe_rgb() -> Self {
-        Self::of_profile(ColorProfile::new_adobe_rgb(), false).unwrap_or_else(|_| Self::srgb())
+        Self::of_profile(ColorProfile::new_adobe_rgb(), Channels::Rgb)
+            .unwrap_or_else(|_| Self::srgb())
     }
 
     /// The colours of an ICC profile.
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub(super) fn of_icc(bytes: &[u8], is_grey: bool) -> Result<Self, String> {
+    pub(super) fn of_icc(bytes: &[u8], channels: Channels) -> Result<Self, String> {
         // A profile that its reader does not survive is as unusable as a broken one.
         let read = || {
             let profile = ColorProfile::new_from_slice(bytes).map_err(|error| error.to_string())?;
-            Self::of_profile(profile, is_grey)
+            Self::of_profile(profile, channels)
         };
         catch_unwind(AssertUnwindSafe(read))
             .unwrap_or_else(|_| Err("its reader gave up".to_owned()))
     }
 
-    fn of_profile(profile: ColorProfile, is_grey: bool) -> Result<Self, String> {
+    fn of_profile(profile: ColorProfile, channels: Channels) -> Result<Self, String> {
         let name = profile.description.as_ref().map(text).filter(|name| !name.is_empty());
         let name = name.unwrap_or_else(|| "a profile without a name".to_owned());
-        match (profile.color_space, is_grey) {
-            (DataColorSpace::Gray, true) => {
+        match (profile.color_space, channels) {
+            (DataColorSpace::Gray, Channels::Grey) => {
                 let curve = || Curve::of(profile.gray_trc.as_ref());
                 let curves = [curve()?, curve()?, curve()?];
                 Self::shaped(name, Shaper { curves, to_srgb: IDENTITY })
             }
-            (DataColorSpace::Rgb, false) if profile.red_trc.is_some() => {
+            (DataColorSpace::Rgb, Channels::Rgb) if profile.red_trc.is_some() => {
                 if profile.pcs != DataColorSpace::Xyz {
                     return Err("its curves lead to Lab, not to XYZ".to_owned());
                 }
@@ -128,13 +149,21 @@ impl Colour {
                 let curves = [Curve::of(red)?, Curve::of(green)?, Curve::of(blue)?];
                 Self::shaped(name, Shaper { curves, to_srgb: to_srgb(&profile) })
             }
-            (DataColorSpace::Rgb, false) => {
+            (DataColorSpace::Rgb, Channels::Rgb) => {
                 let form = Form::Tables(Box::new(profile));
                 let colour = Self { name: Some(name), form };
                 colour.table_converted(&[0; 3]).map(|_| colour)
             }
+            (DataColorSpace::Cmyk, Channels::Cmyk) => {
+                let form = Form::Inks(Box::new(Inks::new(&profile)?));
+                Ok(Self { name: Some(name), form })
+            }
             (space, _) => {
-                let of = if is_grey { "grey" } else { "RGB" };
+                let of = match channels {
+                    Channels::Grey => "grey",
+                    Channels::Rgb => "RGB",
+                    Channels::Cmyk => "CMYK",
+                };
                 Err(format!("it is for {space:?} values, and the picture is {of}"))
             }
         }
@@ -213,6 +242,14 @@ impl Colour {
         matches!(self.form, Form::Tables(_))
     }
 
+    /// The way from inks to light, if the values are inks.
+    pub(super) fn inks(&self) -> Option<&Inks> {
+        match &self.form {
+            Form::Inks(inks) => Some(inks),
+            _ => None,
+        }
+    }
+
     /// Interleaved RGB samples of 16 bits as sRGB, if the profile has tables.
     ///
     /// # Errors
@@ -237,6 +274,7 @@ impl Colour {
     pub(super) fn light(&self, channel: usize, value: f32) -> f32 {
         match &self.form {
             Form::Matrix(shaper) => shaper.curves[channel].light(value),
+            Form::Light => value,
             _ => srgb_to_linear(value),
         }
     }

@@ -1,15 +1,15 @@
 //! Reading: any photograph to upright planar RGB, never larger than the header declares.
 //!
 //! Conversion of each input: grey is repeated in all three channels; palettes are looked up; alpha
-//! is composited over black, in the encoded values; CMYK is converted without a profile; 16 bits
-//! stay 16 bits deep (`v / 65535`); colour profiles are applied ([`super::colour`]), and a PQ or
-//! HLG HEIC is converted to sRGB ([`super::hdr`]); raw files have light of their own
-//! ([`super::raw`]); EXIF orientation is applied once, here and
-//! nowhere else, or a HEIC's own instead. Floating-point TIFF is refused, as its range and encoding
-//! are unknown.
+//! is composited over black, in the encoded values; 16 bits stay 16 bits deep (`v / 65535`); colour
+//! profiles are applied ([`super::colour`]), and CMYK without one is mixed as if inks were filters;
+//! a PQ or HLG HEIC is converted to sRGB ([`super::hdr`]); raw files have light of their own
+//! ([`super::raw`]); EXIF orientation is applied once, here and nowhere else, or a HEIC's own
+//! instead. Floating-point TIFF is refused, as its range and encoding are unknown.
 
 mod error;
 mod heic;
+mod inks;
 mod jpeg;
 mod pages;
 mod profile;
@@ -20,12 +20,13 @@ use std::io::{self, BufRead, BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
+use half::f16;
 use image::metadata::Orientation;
-use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+use image::{DynamicImage, ExtendedColorType, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use self::heic::Heic;
 use self::profile::Declared;
-use super::colour::Colour;
+use super::colour::{Channels, Colour};
 use super::hdr::HdrTransfer;
 use super::raw::{self, Raw, RawHeader};
 use super::resize::{AreaAverage, at_most};
@@ -244,7 +245,8 @@ struct Opened {
     orientation: Orientation,
     header: Header,
     colour: Colour,
-    is_jpeg: bool,
+    /// None for a HEIC.
+    format: Option<ImageFormat>,
 }
 
 impl Opened {
@@ -263,7 +265,7 @@ impl Opened {
         let (beside, hdr) = (heic.bytes_beside(), heic.hdr());
         let srgb = hdr.map(|_| Colour::srgb());
         let declared = srgb.or_else(|| heic.colour()).map(Declared::Colour);
-        let mut opened = Self::with_decoder(Box::new(heic), None, beside, declared)?;
+        let mut opened = Self::with_decoder(Box::new(heic), None, beside, declared, false)?;
         opened.header.hdr = hdr;
         Ok(opened)
     }
@@ -280,11 +282,13 @@ impl Opened {
                 let mut file = pages::Paged::open(file.into_inner()).map_err(io)?;
                 let declared = profile::of_tiff(&mut file).map(Declared::Icc);
                 file.rewind().map_err(io)?;
-                Self::with_reader(file, format, 0, declared)
+                Self::with_reader(file, format, 0, declared, false)
             }
             // The decoder and the check each hold the whole file.
             ImageFormat::Jpeg => {
-                Self::with_reader(file, format, 2 * length, None).map_err(|error| {
+                let has_inks = inks::are_in_jpeg(&mut file);
+                file.rewind().map_err(io)?;
+                Self::with_reader(file, format, 2 * length, None, has_inks).map_err(|error| {
                     // The decoder does not name most unsupported kinds.
                     match jpeg::check(&fs::read(path).unwrap_or_default()) {
                         Err(kind @ ImageError::Unsupported { .. }) => kind,
@@ -295,9 +299,9 @@ impl Opened {
             ImageFormat::Png => {
                 let declared = profile::of_png(&mut file);
                 file.rewind().map_err(io)?;
-                Self::with_reader(file, format, 0, declared)
+                Self::with_reader(file, format, 0, declared, false)
             }
-            _ => Self::with_reader(file, format, 0, None),
+            _ => Self::with_reader(file, format, 0, None, false),
         }
     }
 
@@ -306,22 +310,25 @@ impl Opened {
         format: ImageFormat,
         beside: u64,
         declared: Option<Declared>,
+        has_inks: bool,
     ) -> Result<Self, ImageError> {
         let mut reader = ImageReader::with_format(file, format);
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_DECODE_BYTES);
         reader.limits(limits);
         let decoder = reader.into_decoder().map_err(|error| image_error(&error))?;
-        Self::with_decoder(Box::new(decoder), Some(format), beside, declared)
+        Self::with_decoder(Box::new(decoder), Some(format), beside, declared, has_inks)
     }
 
     /// `format`: none for HEIC. `beside`: bytes that decoding needs besides the samples.
-    /// `declared`: colours that the decoder does not know of.
+    /// `declared`: colours that the decoder does not know of. `has_inks`: a JPEG's, which its
+    /// decoder does not report.
     fn with_decoder(
         mut decoder: Box<dyn ImageDecoder>,
         format: Option<ImageFormat>,
         beside: u64,
         declared: Option<Declared>,
+        has_inks: bool,
     ) -> Result<Self, ImageError> {
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
@@ -344,11 +351,12 @@ impl Opened {
         // A rotated picture is a second copy.
         let copies = if orientation == Orientation::NoTransforms { 1 } else { 2 };
         let has_alpha = decoder.color_type().has_alpha();
-        let is_jpeg = format == Some(ImageFormat::Jpeg);
-        let (colour, profile_fault) =
-            profile::of(decoder.as_mut(), declared, exif.as_ref().filter(|_| is_jpeg));
-        // Tables convert into a copy of 16 bits.
-        let copies = if colour.has_tables() { copies + 4 } else { copies };
+        let channels = channels(decoder.as_ref(), has_inks);
+        let of_jpeg = exif.as_ref().filter(|_| format == Some(ImageFormat::Jpeg));
+        let (colour, profile_fault) = profile::of(decoder.as_mut(), channels, declared, of_jpeg);
+        // Tables convert into a copy of 16 bits, also of four inks.
+        let has_copy = colour.has_tables() || colour.inks().is_some();
+        let copies = if has_copy { copies + 4 } else { copies };
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
         let decoded_bytes = decoded_bytes.saturating_add(beside);
         let (width, height) = match orientation.to_exif() {
@@ -374,8 +382,17 @@ impl Opened {
                 raw: None,
             },
             colour,
-            is_jpeg,
+            format,
         })
+    }
+}
+
+fn channels(decoder: &dyn ImageDecoder, has_inks: bool) -> Channels {
+    let cmyk = [ExtendedColorType::Cmyk8, ExtendedColorType::Cmyk16];
+    match has_inks || cmyk.contains(&decoder.original_color_type()) {
+        true => Channels::Cmyk,
+        false if decoder.color_type().has_color() => Channels::Rgb,
+        false => Channels::Grey,
     }
 }
 
@@ -392,6 +409,8 @@ struct Samples {
 enum Values {
     Eight(Vec<u8>),
     Sixteen(Vec<u16>),
+    /// Bits of half floats.
+    Halves(Vec<u16>),
 }
 
 impl Values {
@@ -399,24 +418,40 @@ impl Values {
     fn deep(self) -> Vec<u16> {
         match self {
             Self::Eight(values) => values.into_iter().map(|v| 257 * u16::from(v)).collect(),
-            Self::Sixteen(values) => values,
+            Self::Sixteen(values) | Self::Halves(values) => values,
         }
     }
 }
 
 impl Samples {
     fn decode(opened: Opened, path: &Path) -> Result<Self, ImageError> {
-        if opened.is_jpeg {
-            let bytes = fs::read(path)
-                .map_err(|source| ImageError::Io { path: path.to_owned(), source })?;
+        let bytes = match opened.format {
+            Some(ImageFormat::Jpeg) => {
+                fs::read(path).map_err(|source| ImageError::Io { path: path.to_owned(), source })?
+            }
+            _ => Vec::new(),
+        };
+        if opened.format == Some(ImageFormat::Jpeg) {
             jpeg::check(&bytes)?;
+        }
+        let (width, height) = (opened.header.width, opened.header.height);
+        let colour = opened.colour;
+        if let Some(inks) = colour.inks() {
+            let mut picture = match opened.format {
+                Some(ImageFormat::Jpeg) => inks::of_jpeg(&bytes)?,
+                _ => inks::of_tiff(path)?,
+            };
+            picture.apply_orientation(opened.orientation);
+            let values = Values::Halves(match picture {
+                DynamicImage::ImageRgba8(buffer) => inks.halves(&buffer, 255.0),
+                deep => inks.halves(&deep.into_rgba16(), 65_535.0),
+            });
+            return Ok(Self { width, height, channels: 3, values, colour: Colour::light_itself() });
         }
         let mut picture =
             DynamicImage::from_decoder(opened.decoder).map_err(|error| image_error(&error))?;
         picture.apply_orientation(opened.orientation);
-        let (width, height) = (opened.header.width, opened.header.height);
         let (channels, values) = interleaved(picture)?;
-        let colour = opened.colour;
         if !colour.has_tables() {
             return Ok(Self { width, height, channels, values, colour });
         }
@@ -447,6 +482,9 @@ impl Samples {
         let top = match self.values {
             Values::Eight(_) => 255_u32,
             Values::Sixteen(_) => 65_535,
+            Values::Halves(_) => {
+                return (0..=u16::MAX).map(|bits| f(f16::from_bits(bits).to_f32())).collect();
+            }
         };
         (0..=top).map(|v| f(v as f32 / top as f32)).collect()
     }
@@ -457,7 +495,9 @@ impl Samples {
         let (range, offset) = (y * stride..(y + 1) * stride, channel % self.channels);
         match &self.values {
             Values::Eight(values) => look_up(&values[range], offset, self.channels, table, out),
-            Values::Sixteen(values) => look_up(&values[range], offset, self.channels, table, out),
+            Values::Sixteen(values) | Values::Halves(values) => {
+                look_up(&values[range], offset, self.channels, table, out);
+            }
         }
     }
 }

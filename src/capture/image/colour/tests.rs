@@ -170,7 +170,8 @@ fn black_is_black_in_every_colour_space() {
         ColorProfile::new_pro_photo_rgb(),
         linear_srgb(),
     ] {
-        let colour = Colour::of_icc(&profile.encode().expect("a profile"), false).expect("read");
+        let colour =
+            Colour::of_icc(&profile.encode().expect("a profile"), Channels::Rgb).expect("read");
         assert!(colour.light(0, 0.0).abs() < 1e-6, "{:?}", colour.name());
         assert!((colour.light(0, 1.0) - 1.0).abs() < 1e-4, "{:?}", colour.name());
     }
@@ -195,9 +196,9 @@ fn a_broken_profile_is_named_and_the_values_are_srgb() {
 #[test]
 fn a_grey_profile_is_a_curve_and_one_for_rgb_is_refused_there() {
     let grey = ColorProfile::new_gray_with_gamma(2.2).encode().expect("a profile");
-    let colour = Colour::of_icc(&grey, true).expect("a grey profile");
+    let colour = Colour::of_icc(&grey, Channels::Grey).expect("a grey profile");
     assert!((colour.light(0, 0.5) - 0.5_f32.powf(2.2)).abs() < 1e-3, "{}", colour.light(0, 0.5));
-    let fault = Colour::of_icc(&grey, false).err().expect("not for RGB");
+    let fault = Colour::of_icc(&grey, Channels::Rgb).err().expect("not for RGB");
     assert!(fault.contains("the picture is RGB"), "{fault}");
 }
 
@@ -259,4 +260,104 @@ fn png_chunks_code_points_and_exif_declare_colours_too() {
     fs::write(&path, bytes).expect("written");
     assert!(error(&path, &ADOBE) < 6.0, "a camera's Adobe RGB");
     assert!(read_header(&path).expect("a header").profile.expect("named").contains("Adobe"));
+}
+
+const CMYK: &[u8] = include_bytes!("../../../../tests/golden/photographs/cmyk.icc");
+
+/// Inks, and the levels of sRGB that LittleCMS 2.19 gives them by that profile: both of
+/// tests/golden/inks.py.
+const INKS: [[u8; 4]; 4] =
+    [[20, 110, 140, 12], [190, 60, 200, 90], [0, 0, 0, 130], [210, 150, 10, 0]];
+const INKS_IN_SRGB: [[u8; 3]; 4] = [[205, 156, 107], [75, 99, 53], [159, 158, 158], [67, 102, 145]];
+
+fn light_of_inks() -> [[f32; 3]; 4] {
+    INKS_IN_SRGB.map(|levels| levels.map(|v| srgb_to_linear(f32::from(v) / 255.0)))
+}
+
+/// A TIFF of blocks of inks, of 16 bits.
+fn tiff_of_inks(icc: Option<&[u8]>) -> Vec<u8> {
+    use tiff::encoder::{TiffEncoder, colortype};
+    let mut bytes = Cursor::new(Vec::new());
+    let mut encoder = TiffEncoder::new(&mut bytes).expect("a TIFF");
+    let row = || (0..4 * BLOCK).flat_map(|x| INKS[x / BLOCK].map(|v| 257 * u16::from(v)));
+    let samples: Vec<u16> = (0..BLOCK).flat_map(|_| row()).collect();
+    let size = (4 * BLOCK as u32, BLOCK as u32);
+    let mut image = encoder.new_image::<colortype::CMYK16>(size.0, size.1).expect("an image");
+    if let Some(icc) = icc {
+        image.encoder().write_tag(tiff::tags::Tag::IccProfile, icc).expect("a tag");
+    }
+    image.write_data(&samples).expect("encoded");
+    bytes.into_inner()
+}
+
+#[test]
+fn inks_have_the_light_that_their_profile_gives_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let deep = tiff_of_inks(Some(CMYK));
+    let files: [(&str, &[u8], f32); 3] = [
+        ("deep.tif", &deep, 0.8),
+        ("inks.jpg", include_bytes!("../../../../tests/golden/photographs/inks.jpg"), 1.5),
+        ("ycck.jpg", include_bytes!("../../../../tests/golden/photographs/inks-ycck.jpg"), 1.5),
+    ];
+    for (name, bytes, tolerance) in files {
+        let path = folder.path().join(name);
+        fs::write(&path, bytes).expect("written");
+        let worst = error(&path, &light_of_inks());
+        assert!(worst < tolerance, "{name}: {worst} levels off");
+        let header = read_header(&path).expect("a header");
+        assert_eq!(header.profile.as_deref(), Some("fled inks"), "{name}");
+        assert_eq!(header.profile_fault, None, "{name}");
+    }
+}
+
+#[test]
+fn inks_without_a_usable_profile_are_converted_plainly_and_say_so() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("a.tif");
+    let rgb = ColorProfile::new_adobe_rgb().encode().expect("a profile");
+    for (icc, fault) in [
+        (None, "it is CMYK and has none"),
+        (Some(&rgb[..]), "the picture is CMYK"),
+        (Some(&CMYK[..1000]), ""),
+    ] {
+        fs::write(&path, tiff_of_inks(icc)).expect("written");
+        let header = read_header(&path).expect("a header");
+        let found = header.profile_fault.expect("a fault");
+        assert!(found.contains(fault), "{found}");
+        assert_eq!(header.profile, None);
+        // (1 - ink) (1 - black)
+        let plain = INKS.map(|[c, m, y, k]| {
+            [c, m, y].map(|v| srgb_to_linear(f32::from(255 - v) * f32::from(255 - k) / 65_025.0))
+        });
+        assert!(error(&path, &plain) < 0.5);
+        assert!(error(&path, &light_of_inks()) > 10.0, "the profile matters here");
+    }
+}
+
+#[test]
+fn a_table_of_inks_gives_white_paper_and_colours_outside_of_srgb() {
+    let colour = Colour::of_icc(CMYK, Channels::Cmyk).expect("a profile");
+    let inks = colour.inks().expect("of inks");
+    let light = |values: [u8; 4]| {
+        let halves = inks.halves(&values, 255.0);
+        [0, 1, 2].map(|c| half::f16::from_bits(halves[c]).to_f32())
+    };
+    assert!(light([0; 4]).iter().all(|v| (v - 1.0).abs() < 2e-3), "{:?}", light([0; 4]));
+    assert!(light([255, 0, 0, 0])[0] < -0.05, "cyan: {:?}", light([255, 0, 0, 0]));
+}
+
+#[test]
+fn a_table_of_inks_that_is_not_whole_is_refused() {
+    let mut profile = ColorProfile::new_from_slice(CMYK).expect("a profile");
+    profile.pcs = DataColorSpace::Xyz;
+    assert!(Inks::new(&profile).err().expect("of XYZ").contains("Lab"));
+    profile.pcs = DataColorSpace::Lab;
+    assert!(Inks::new(&profile).is_ok());
+    let Some(moxcms::LutWarehouse::Lut(table)) = &mut profile.lut_a_to_b_perceptual else {
+        panic!("a table");
+    };
+    table.num_clut_grid_points = 6;
+    assert!(Inks::new(&profile).err().expect("cut").contains("broken"));
+    profile.lut_a_to_b_perceptual = None;
+    assert!(Inks::new(&profile).err().expect("none").contains("no table"));
 }

@@ -7,7 +7,7 @@ use image::ImageDecoder;
 use tiff::decoder::ifd::Value;
 use tiff::decoder::{Decoder, Limits};
 
-use crate::image::colour::Colour;
+use crate::image::colour::{Channels, Colour};
 use crate::image::hdr::HdrTransfer;
 
 /// Largest ICC profile of a TIFF, bytes; those of printers have half a mebibyte.
@@ -27,10 +27,10 @@ pub(super) enum Declared {
 /// RGB in EXIF (DCF 2.0: "R03"), which they write in place of a profile.
 pub(super) fn of(
     decoder: &mut dyn ImageDecoder,
+    channels: Channels,
     declared: Option<Declared>,
     exif: Option<&Exif>,
 ) -> (Colour, Option<String>) {
-    let is_grey = !decoder.color_type().has_color();
     let icc = match declared {
         Some(Declared::Colour(colour)) => return (colour, None),
         Some(Declared::Unread(reason)) => return (Colour::srgb(), Some(reason)),
@@ -38,11 +38,16 @@ pub(super) fn of(
         None => decoder.icc_profile(),
     };
     match icc {
-        Ok(Some(bytes)) => match Colour::of_icc(&bytes, is_grey) {
+        Ok(Some(bytes)) => match Colour::of_icc(&bytes, channels) {
             Ok(colour) => (colour, None),
             Err(reason) => (Colour::srgb(), Some(reason)),
         },
-        Ok(None) if exif.is_some_and(is_adobe_rgb) && !is_grey => (Colour::adobe_rgb(), None),
+        Ok(None) if channels == Channels::Cmyk => {
+            (Colour::srgb(), Some("it is CMYK and has none".to_owned()))
+        }
+        Ok(None) if exif.is_some_and(is_adobe_rgb) && channels == Channels::Rgb => {
+            (Colour::adobe_rgb(), None)
+        }
         Ok(None) => (Colour::srgb(), None),
         Err(error) => (Colour::srgb(), Some(error.to_string())),
     }
