@@ -20,7 +20,7 @@ export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
-setup: ## Debian packages: COLMAP, ffmpeg, the Vulkan loader, pip (as root; else it says what to run)
+setup: ## Debian packages: COLMAP, ffmpeg, LibRaw, the Vulkan loader, pip (as root; else it says what to run)
 	@tools/setup.sh
 
 onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/

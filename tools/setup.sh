@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Installs what fled needs from Debian: COLMAP, ffmpeg, the Vulkan loader, and pip to fetch the ONNX Runtime library and
-# the Python packages of the tools; and the arguments: `vulkan`, a software driver on which the tests check the kernels
+# Installs what fled needs from Debian: COLMAP, ffmpeg, LibRaw's programs, the Vulkan loader, and pip to fetch the ONNX
+# Runtime library and the Python packages of the tools; and the arguments: `vulkan`, a software driver on which the tests check the kernels
 # for GPUs, and programs whose package has their name, including `postgresql`, which Debian does not put on the path.
 # Installs only what is missing; without root it prints the one line to run instead.
 set -euo pipefail
@@ -12,6 +12,7 @@ missing=()
 command -v colmap >/dev/null || missing+=(colmap)
 [[ $libraries == *libvulkan.so.1* ]] || missing+=(libvulkan1)
 command -v ffmpeg >/dev/null || missing+=(ffmpeg)
+command -v dcraw_emu >/dev/null || missing+=(libraw-bin)
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 for program; do
     if [[ $program == vulkan ]]; then

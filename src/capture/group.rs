@@ -9,7 +9,7 @@ mod windows;
 use std::io::{self, Read};
 use std::process::{Command, Output, Stdio};
 
-pub use guard::{GUARD, become_guarded, die_with, guarded};
+pub use guard::{GUARD, become_guarded, declare_guard, die_with, ending_with_this, guarded};
 #[cfg(unix)]
 pub use unix::Group;
 #[cfg(windows)]

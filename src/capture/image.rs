@@ -28,6 +28,7 @@ pub use hdr::HdrTransfer;
 pub use raw::RawHeader;
 #[cfg(test)]
 pub(crate) use raw::dng;
+pub use raw::libraw::version as libraw_version;
 pub(crate) use resize::at_most;
 pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;

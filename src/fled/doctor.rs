@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use fled_capture::group;
+use fled_capture::image::libraw_version;
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::{self, DeblurError, NetworkChoice};
 use fled_core::device::Device;
@@ -129,6 +130,7 @@ fn checks(args: &Args, device: Result<Device, GpuError>) -> Vec<Check> {
         Check::new("models", model, "Set ORT_DYLIB_PATH"),
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
+        Check::new("libraw", Ok::<_, Infallible>(libraw()), ""),
         Check::new("disk", disk(args), "Free some space; a run may need 2 GiB"),
     ];
     checks.into()
@@ -159,6 +161,14 @@ fn ffmpeg(args: &Args) -> String {
     first.unwrap_or_else(|error| {
         format!("none; videos can be neither read nor made (apt-get install ffmpeg): {error}")
     })
+}
+
+/// The version of LibRaw. A machine without it can still read most raw files.
+fn libraw() -> String {
+    libraw_version().map_or_else(
+        || "none; some raw files cannot be read (apt-get install libraw-bin)".to_owned(),
+        str::to_owned,
+    )
 }
 
 /// Opens and describes the default network.

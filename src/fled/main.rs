@@ -114,6 +114,7 @@ fn main() -> ExitCode {
     if let Command::Guard { command } = &cli.command {
         return group::become_guarded(command);
     }
+    group::declare_guard();
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();
     }

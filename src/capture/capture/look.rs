@@ -318,6 +318,10 @@ impl Seen {
             );
             warnings.push(CaptureWarning::new("profile", message));
         }
+        if let Some(reader) = self.header.raw.as_ref().and_then(|raw| raw.reader.as_ref()) {
+            let message = format!("it was read by {reader}, which cuts noise at black");
+            warnings.push(CaptureWarning::new("libraw", message));
+        }
         if self.mean_v < DARK_MEAN_V {
             let levels = self.mean_v * 255.0;
             warnings.push(CaptureWarning::new(

@@ -40,6 +40,7 @@ mod tests {
         let header = |camera: &str, red: f32| RawHeader {
             camera: camera.to_owned(),
             white_balance: [red, 1.0, 1.5],
+            reader: None,
         };
         let headers = [2.0, 1.0, 1.8].map(|red| header("a", red));
         let other = header("b", 3.0);

@@ -13,6 +13,7 @@ use std::ffi::{OsStr, OsString};
 use std::io;
 use std::path::{Path, absolute};
 use std::process::{Command, ExitCode};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 #[cfg(windows)]
 use job as system;
@@ -53,6 +54,28 @@ pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
     };
     let parent = std::process::id().to_string();
     Ok(vec![own.into(), GUARD.into(), parent.into(), program.into()])
+}
+
+/// Whether this program has the subcommand [`GUARD`]; tests have not.
+static HAS_GUARD: AtomicBool = AtomicBool::new(false);
+
+/// Declares that this program has the subcommand [`GUARD`].
+pub fn declare_guard() {
+    HAS_GUARD.store(true, Ordering::Relaxed);
+}
+
+/// A command that starts `program`, by [`guarded`] if this program has declared its guard.
+///
+/// # Errors
+/// As [`guarded`].
+pub fn ending_with_this(program: &Path) -> io::Result<Command> {
+    if !HAS_GUARD.load(Ordering::Relaxed) {
+        return Ok(Command::new(program));
+    }
+    let words = guarded(program)?;
+    let mut command = Command::new(&words[0]);
+    command.args(&words[1..]);
+    Ok(command)
 }
 
 /// Becomes the program named by [`guarded`], whose `arguments` follow [`GUARD`]. Returns only on

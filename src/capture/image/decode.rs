@@ -28,6 +28,7 @@ use self::heic::Heic;
 use self::profile::Declared;
 use super::colour::{Channels, Colour};
 use super::hdr::HdrTransfer;
+use super::raw::libraw::{self, Developed};
 use super::raw::{self, Raw, RawHeader};
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
@@ -69,7 +70,10 @@ pub struct Header {
 impl Header {
     /// The colour profile that is applied, or the camera of a raw file; `None` for sRGB.
     pub fn colours(&self) -> Option<String> {
-        let of_raw = self.raw.as_ref().map(|raw| format!("raw, {}", raw.camera));
+        let of_raw = self.raw.as_ref().map(|raw| match &raw.reader {
+            Some(reader) => format!("raw, {}, read by {reader}", raw.camera),
+            None => format!("raw, {}", raw.camera),
+        });
         of_raw.or_else(|| self.profile.clone())
     }
 }
@@ -155,6 +159,7 @@ impl Decoded {
         guarded(|| match Source::open(path)? {
             Source::Picture(opened) => Ok(Self::Samples(Samples::decode(*opened, path)?)),
             Source::Raw(raw) => Ok(Self::Light(raw.light(long_side, white_balance)?)),
+            Source::Developed(raw) => Ok(Self::Light(raw.light(long_side, white_balance)?)),
         })
     }
 
@@ -170,6 +175,8 @@ impl Decoded {
 enum Source {
     Picture(Box<Opened>),
     Raw(Box<Raw>),
+    /// A raw file that LibRaw develops.
+    Developed(Box<Developed>),
 }
 
 impl Source {
@@ -188,7 +195,7 @@ impl Source {
             Kind::Raw if length > raw::LONGEST => Err(ImageError::Unsupported {
                 message: "a raw file of more than 256 MiB".to_owned(),
             }),
-            Kind::Raw => return Ok(Self::Raw(Box::new(Raw::open(whole(file).map_err(io)?)?))),
+            Kind::Raw => return Self::raw(path, whole(file).map_err(io)?, libraw::INSTALLED),
             Kind::Video => Err(ImageError::Video),
             Kind::Unread(format) => Err(ImageError::Unread(format)),
             Kind::Unknown => Err(ImageError::UnknownFormat),
@@ -196,24 +203,56 @@ impl Source {
         .map(|opened| Self::Picture(Box::new(opened)))
     }
 
-    fn into_header(self) -> Header {
-        let raw = match self {
-            Self::Picture(opened) => return opened.header,
-            Self::Raw(raw) => raw,
+    /// What `flashraw` refuses is for LibRaw.
+    fn raw(path: &Path, bytes: Vec<u8>, programs: libraw::Programs) -> Result<Self, ImageError> {
+        let length = bytes.len() as u64;
+        let exif = raw::own_exif(&bytes);
+        let message = match Raw::open(bytes) {
+            Err(ImageError::RawUnread { message }) => message,
+            outcome => return outcome.map(|raw| Self::Raw(Box::new(raw))),
         };
-        let (width, height) = raw.size();
+        let developed = Developed::open(programs, path, length);
+        let mut developed = developed.map_err(|refusal| refusal.after(&message))?;
+        // Its own tags know more than LibRaw's program tells.
+        let (width, height) = developed.upright();
+        let focal_px = exif.as_ref().and_then(|exif| exif::focal_px(exif, width, height));
+        developed.focal_px = focal_px.or(developed.focal_px);
+        developed.shot = exif.as_ref().and_then(exif::shot).or(developed.shot);
+        Ok(Self::Developed(Box::new(developed)))
+    }
+
+    fn into_header(self) -> Header {
+        let ((width, height), orientation, decoded_bytes, focal_px, shot, raw) = match self {
+            Self::Picture(opened) => return opened.header,
+            Self::Raw(raw) => (
+                raw.size(),
+                raw.orientation(),
+                raw.decoded_bytes(),
+                raw.focal_px(),
+                raw.shot(),
+                raw.header(),
+            ),
+            Self::Developed(raw) => (
+                raw.upright(),
+                raw.orientation(),
+                raw.decoded_bytes(),
+                raw.focal_px,
+                raw.shot,
+                raw.header(),
+            ),
+        };
         Header {
             width,
             height,
-            orientation: raw.orientation(),
-            focal_px: raw.focal_px(),
-            shot: raw.shot(),
-            decoded_bytes: raw.decoded_bytes(),
+            orientation,
+            focal_px,
+            shot,
+            decoded_bytes,
             hdr: None,
             has_alpha: false,
             profile: None,
             profile_fault: None,
-            raw: Some(raw.header()),
+            raw: Some(raw),
         }
     }
 }
@@ -254,7 +293,7 @@ impl Opened {
     fn open(path: &Path) -> Result<Self, ImageError> {
         match Source::open(path)? {
             Source::Picture(opened) => Ok(*opened),
-            Source::Raw(_) => {
+            Source::Raw(_) | Source::Developed(_) => {
                 Err(ImageError::Unsupported { message: "a raw file in place of a mask".to_owned() })
             }
         }

@@ -9,6 +9,7 @@
 
 #[cfg(test)]
 pub(crate) mod dng;
+pub(super) mod libraw;
 mod mosaic;
 
 use flashraw::low_level::codecs::dng_opcodes::{self, PlaneImage};
@@ -59,6 +60,8 @@ pub struct RawHeader {
     pub camera: String,
     /// Multipliers of red, green and blue that make white neutral, as shot; green is 1.
     pub white_balance: [f32; 3],
+    /// What reads the file, such as `LibRaw 0.20.2`, in place of `flashraw`.
+    pub reader: Option<String>,
 }
 
 /// A raw file whose header has been read and accepted.
@@ -75,8 +78,7 @@ impl Raw {
     /// [`ImageError::Damaged`], [`ImageError::TooManyPixels`].
     pub(super) fn open(bytes: Vec<u8>) -> Result<Self, ImageError> {
         let length = bytes.len() as u64;
-        let prefix = bytes[..bytes.len().min(EXIF_PREFIX)].to_vec();
-        let is_tiff = prefix.starts_with(b"II*\0") || prefix.starts_with(b"MM\0*");
+        let exif = own_exif(&bytes);
         let file = FlashRaw::open_with(bytes, limits()).map_err(|error| image_error(&error))?;
         let info = file.frame_info();
         let (width, height) = (info.crop.width, info.crop.height);
@@ -95,8 +97,6 @@ impl Raw {
             }
         }
         check_samples(info)?;
-        // Where the file is built like a TIFF, its own tags know more than `flashraw` passes on.
-        let exif = is_tiff.then(|| exif::read(prefix)).flatten();
         let (width, height) = (width as usize, height as usize);
         let of_equivalent = file.metadata().exposure.focal_length_35mm.map(f64::from);
         let focal_px = exif
@@ -129,7 +129,8 @@ impl Raw {
 
     pub(super) fn header(&self) -> RawHeader {
         let camera = self.file.metadata().camera().chars().take(CAMERA_LENGTH).collect();
-        RawHeader { camera, white_balance: white_balance(self.file.frame_info()) }
+        let white_balance = white_balance(self.file.frame_info());
+        RawHeader { camera, white_balance, reader: None }
     }
 
     /// Bytes that decoding needs: the file, its samples as integers and as floats, and the picture.
@@ -179,6 +180,12 @@ impl Raw {
         mixed(&mut image, &camera_to_srgb(info));
         Ok(turned(image, self.orientation()))
     }
+}
+
+/// The tags of a file that is built like a TIFF: they know more than decoders pass on.
+pub(super) fn own_exif(bytes: &[u8]) -> Option<::exif::Exif> {
+    let is_tiff = bytes.starts_with(b"II*\0") || bytes.starts_with(b"MM\0*");
+    is_tiff.then(|| exif::read(bytes[..bytes.len().min(EXIF_PREFIX)].to_vec())).flatten()
 }
 
 /// # Errors

@@ -8,7 +8,7 @@ pub(crate) const BLACK: u16 = 512;
 pub(crate) const WHITE: u16 = 15_360;
 
 /// The camera's response to white, as shot: neutral.
-const NEUTRAL: [f64; 3] = [0.5, 1.0, 0.7];
+const NEUTRAL: [f64; 4] = [0.5, 1.0, 0.7, 0.8];
 
 /// Linear sRGB to the camera's balanced colours, rows summing to 1.
 fn camera() -> DMat3 {
@@ -21,6 +21,8 @@ pub(crate) enum Sensor {
     Bayer,
     XTrans,
     Linear,
+    /// With emerald, half green and half blue, in place of each other green.
+    Emerald,
 }
 
 impl Sensor {
@@ -33,6 +35,7 @@ impl Sensor {
                 (6, rows.iter().flat_map(|row| row.chars().map(colour)).collect())
             }
             Self::Linear => (0, Vec::new()),
+            Self::Emerald => (2, vec![0, 1, 3, 2]),
         }
     }
 }
@@ -49,7 +52,8 @@ pub(crate) fn written(
     let (period, pattern) = sensor.pattern();
     let mut samples = Vec::new();
     for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-        let balanced = camera() * DVec3::from_array(light(x, y));
+        let [red, green, blue] = (camera() * DVec3::from_array(light(x, y))).to_array();
+        let balanced = [red, green, blue, 0.5 * (green + blue)];
         let colours = match period {
             0 => vec![0, 1, 2],
             _ => vec![usize::from(pattern[y % period * period + x % period])],
@@ -63,7 +67,12 @@ pub(crate) fn written(
     let planes = if period == 0 { 3_u16 } else { 1 };
     let matrix = camera() * XYZ_OF_SRGB.inverse();
     // Rows of a matrix from XYZ; a camera's differ by its white, which balance takes out.
-    let rows = DMat3::from_diagonal(DVec3::from_array(NEUTRAL)) * matrix;
+    let rows = [matrix.row(0), matrix.row(1), matrix.row(2), (matrix.row(1) + matrix.row(2)) / 2.0];
+    let rows = (0..4).map(|colour| NEUTRAL[colour] * rows[colour]);
+    let colours = if matches!(sensor, Sensor::Emerald) { 4 } else { 3 };
+    let rows: Vec<f64> = rows.take(colours).flat_map(|row| row.to_array()).collect();
+    let shot = [neutral[0], neutral[1], neutral[2], 1.0];
+    let shot: Vec<f64> = (0..colours).map(|c| NEUTRAL[c] * shot[c]).collect();
     let mut tags = Tags::default();
     tags.long(254, &[0]);
     tags.long(256, &[width as u32]);
@@ -89,10 +98,14 @@ pub(crate) fn written(
     tags.short(41_989, &[28]);
     tags.byte(50_706, &[1, 4, 0, 0]);
     tags.ascii(50_708, "Fled Test");
+    if colours == 4 {
+        // Cyan comes next to it.
+        tags.byte(50_710, &[0, 1, 2, 3]);
+    }
     tags.long(50_714, &vec![u32::from(BLACK); usize::from(planes)]);
     tags.long(50_717, &vec![u32::from(WHITE); usize::from(planes)]);
-    tags.signed_rational(50_721, &rows.transpose().to_cols_array());
-    tags.rational(50_728, &[0, 1, 2].map(|c| NEUTRAL[c] * neutral[c]));
+    tags.signed_rational(50_721, &rows);
+    tags.rational(50_728, &shot);
     tags.short(50_778, &[21]);
     tags.file(273, &samples)
 }
