@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Checks that all but the service and its command line compiles for systems that no test runs on. `cargo check` links
-# nothing, so it needs neither their libraries nor a compiler of C for them: build scripts get one that writes nothing.
+# Checks that all but the service and its command line compiles for systems that no test runs on.
+# `cargo check` links nothing, so it needs neither their libraries nor a compiler of C for them:
+# build scripts get one that writes nothing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
