@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # moxcms 0.8.1 (Rust): CMYK is converted through a coarse grid of its own, with inks rounded to 8 bits.
 #
-# A transform from CMYK to RGB tabulates the profile anew at 17 values of each ink, as encoded and clipped RGB, and looks
-# up a place in that grid by 8 bits of each ink, for pictures of 16 bits, too: inks from 8,192 to 8,319 of 65,535 all give
-# one colour. Between the nodes colours differ from LittleCMS's by up to 20 levels of 255, most where a channel is dark,
-# even if the profile's own grid is coarser than 17.
+# A transform from CMYK to RGB tabulates the profile anew at 17 values of each ink, as encoded and clipped RGB, and
+# looks up a place in that grid by 8 bits of each ink, for pictures of 16 bits, too: inks from 8,192 to 8,319 of 65,535
+# all give one colour. Between the nodes colours differ from LittleCMS's by up to 20 levels of 255, most where a channel
+# is dark, even if the profile's own grid is coarser than 17.
 #
 # Output seen with Rust 1.95, moxcms 0.8.1, Pillow 12.0.0:
 #   LittleCMS 2.17
@@ -43,8 +43,8 @@ table += struct.pack(">2H", 2, 2) + 4 * curve
 table += b"".join(words(lab(inks)) for inks in itertools.product(steps, repeat=4)) + 3 * curve
 text = b"inks\0"
 white = struct.pack(">3i", *(round(65536 * v) for v in WHITE))
-tags = [(b"desc", b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78)), (b"wtpt", b"XYZ \0\0\0\0" + white),
-        (b"cprt", b"text\0\0\0\0none\0"), (b"A2B0", table), (b"A2B1", table)]
+tags = [(b"desc", b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78)),
+        (b"wtpt", b"XYZ \0\0\0\0" + white), (b"cprt", b"text\0\0\0\0none\0"), (b"A2B0", table), (b"A2B1", table)]
 directory, body, start = struct.pack(">I", len(tags)), b"", 132 + 12 * len(tags)
 for name, content in tags:
     directory += name + struct.pack(">II", start + len(body), len(content))
@@ -91,12 +91,14 @@ fn main() {
         let meant = far.chunks_exact(3).zip(expected.chunks_exact(3)).filter(|(_, colour)| is_meant(colour));
         meant.flat_map(|(far, _)| far).fold(0.0_f64, |most, far| most.max(*far))
     };
-    let near_border = most(|colour| colour.iter().any(|v| *v < 40));
-    let inside = most(|colour| colour.iter().all(|v| *v >= 40));
-    println!("levels of 255 from LittleCMS at most: {near_border:.1} where a channel is below 40, {inside:.1} elsewhere");
+    let dark = most(|colour| colour.iter().any(|v| *v < 40));
+    let others = most(|colour| colour.iter().all(|v| *v >= 40));
+    println!(
+        "levels of 255 from LittleCMS at most: {dark:.1} where a channel is below 40, {others:.1} elsewhere"
+    );
     assert!(colours.len() == 1, "inks are no longer rounded to 8 bits");
-    assert!(near_border > 10.0, "colours near the border have become right");
-    assert!(inside < near_border / 2.0, "colours inside have become worse");
+    assert!(dark > 10.0, "dark colours have become right");
+    assert!(others < dark / 2.0, "other colours have become worse");
 }
 RUST
 cargo run --quiet
