@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Installs what fled needs from Debian: COLMAP, ffmpeg, LibRaw's programs, the Vulkan loader, and pip to fetch the ONNX
-# Runtime library and the Python packages of the tools; and the arguments: `vulkan`, a software driver on which the tests check the kernels
-# for GPUs, and programs whose package has their name, including `postgresql`, which Debian does not put on the path.
+# Runtime library and the Python packages of the tools; and the arguments: `vulkan`, a software driver on which the
+# tests check the kernels for GPUs, and programs whose package has their name, including `postgresql`, which Debian does
+# not put on the path.
 # Installs only what is missing; without root it prints the one line to run instead.
 set -euo pipefail
 

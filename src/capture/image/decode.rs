@@ -393,7 +393,7 @@ impl Opened {
         let channels = channels(decoder.as_ref(), has_inks);
         let of_jpeg = exif.as_ref().filter(|_| format == Some(ImageFormat::Jpeg));
         let (colour, profile_fault) = profile::of(decoder.as_mut(), channels, declared, of_jpeg);
-        // Tables convert into a copy of 16 bits, also of four inks.
+        // Tables, and those of inks, convert into a copy of 16 bits.
         let has_copy = colour.has_tables() || colour.inks().is_some();
         let copies = if has_copy { copies + 4 } else { copies };
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);

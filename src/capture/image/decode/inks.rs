@@ -26,7 +26,9 @@ fn options() -> DecoderOptions {
 /// Whether a JPEG's header declares inks.
 pub(super) fn are_in_jpeg(file: impl BufRead + Seek) -> bool {
     let mut decoder = JpegDecoder::new_with_options(file, options());
+    // Until it decodes, the decoder goes by Adobe's mark alone, which RGB may have, too.
     decoder.decode_headers().is_ok()
+        && decoder.info().is_some_and(|info| info.components == 4)
         && matches!(decoder.input_colorspace(), Some(ColorSpace::CMYK | ColorSpace::YCCK))
 }
 
@@ -50,7 +52,7 @@ pub(super) fn of_jpeg(bytes: &[u8]) -> Result<DynamicImage, ImageError> {
             pixel[..3].copy_from_slice(&inks.map(|ink| ink.round() as u8));
             pixel[3] = 255 - pixel[3];
         } else {
-            // Adobe stores inks upside down, and what lacks Adobe's mark is read so everywhere.
+            // Adobe stores inks upside down, and most readers read what lacks its mark so, too.
             pixel.iter_mut().for_each(|ink| *ink = 255 - *ink);
         }
     }
@@ -86,5 +88,27 @@ pub(super) fn of_tiff(path: &Path) -> Result<DynamicImage, ImageError> {
             .map(DynamicImage::ImageRgba16)
             .ok_or_else(damaged),
         _ => Err(damaged()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Cursor;
+
+    use super::*;
+
+    #[test]
+    fn rgb_with_adobes_mark_of_inks_has_none() {
+        let mut jpeg = Cursor::new(Vec::new());
+        let picture = DynamicImage::new_rgb8(16, 16);
+        picture.write_to(&mut jpeg, image::ImageFormat::Jpeg).expect("written");
+        let jpeg = jpeg.into_inner();
+        for transform in 0..3 {
+            let mark = [b"\xff\xee\0\x0eAdobe\0\x64\0\0\0\0".as_slice(), &[transform]].concat();
+            let marked = [&jpeg[..2], &mark, &jpeg[2..]].concat();
+            assert!(!are_in_jpeg(Cursor::new(marked)), "{transform}");
+        }
+        let inks = include_bytes!("../../../../tests/golden/photographs/inks.jpg");
+        assert!(are_in_jpeg(Cursor::new(inks)));
     }
 }

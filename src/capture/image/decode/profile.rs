@@ -10,7 +10,7 @@ use tiff::decoder::{Decoder, Limits};
 use crate::image::colour::{Channels, Colour};
 use crate::image::hdr::HdrTransfer;
 
-/// Largest ICC profile of a TIFF, bytes; those of printers have half a mebibyte.
+/// Largest ICC profile, bytes; those of printers have some mebibytes at most.
 const LARGEST_PROFILE: usize = 4 << 20;
 
 /// A colour declaration of a container that its decoder does not report.
@@ -38,6 +38,9 @@ pub(super) fn of(
         None => decoder.icc_profile(),
     };
     match icc {
+        Ok(Some(bytes)) if bytes.len() > LARGEST_PROFILE => {
+            (Colour::srgb(), Some(format!("it has more than {} MiB", LARGEST_PROFILE >> 20)))
+        }
         Ok(Some(bytes)) => match Colour::of_icc(&bytes, channels) {
             Ok(colour) => (colour, None),
             Err(reason) => (Colour::srgb(), Some(reason)),

@@ -2,8 +2,8 @@
 //! white balance, `dcraw_emu` develops it to 16 bits of linear light.
 //!
 //! They are programs of their own, so a crash or a hostile file ends only them. They have the
-//! limits of this process, end with it, and have to be quick. LibRaw cuts light at black: noise
-//! there becomes a veil.
+//! limits of this process, end with it (where it has declared its guard), and have to be quick.
+//! LibRaw cuts light at black: noise brightens what is darkest.
 
 use std::ffi::OsStr;
 use std::io::{self, Read};
@@ -12,7 +12,7 @@ use std::process::Stdio;
 use std::sync::OnceLock;
 use std::sync::mpsc::sync_channel;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use image::metadata::Orientation;
 
@@ -23,8 +23,12 @@ use crate::image::decode::{ImageError, MAX_PIXELS};
 use crate::image::resize::{AreaAverage, at_most};
 use crate::image::{Image, Linear, Shot, exif};
 
-/// Maximum time of a program: less than a photograph has.
-const PATIENCE: Duration = Duration::from_secs(100);
+/// Maximum times to tell about a file, and to develop it: less in total than a photograph has.
+const TO_IDENTIFY: Duration = Duration::from_secs(20);
+const TO_DEVELOP: Duration = Duration::from_secs(80);
+
+/// Pause between two looks whether a program that has closed its output has ended.
+const PAUSE: Duration = Duration::from_millis(5);
 
 /// Bytes kept of what `raw-identify` says.
 const WORDS: u64 = 1 << 20;
@@ -50,8 +54,8 @@ impl Refusal {
     pub(in crate::image) fn after(self, message: &str) -> ImageError {
         let message = match self {
             Self::Missing => format!(
-                "{message}; LibRaw may read it, but its program dcraw_emu is not installed \
-                 (apt-get install libraw-bin)"
+                "{message}; LibRaw may read it, but its programs are not installed (apt-get install \
+                 libraw-bin)"
             ),
             Self::Other(reason) => format!("{message}; LibRaw says: {reason}"),
         };
@@ -63,9 +67,13 @@ impl Refusal {
 pub fn version() -> Option<&'static str> {
     static VERSION: OnceLock<Option<String>> = OnceLock::new();
     let find = || {
-        run(INSTALLED.develop, &[], None, WORDS).ok()?;
+        let usage = |program| run(program, &[], None, WORDS, TO_IDENTIFY / 4);
+        let is_there = |program| !matches!(usage(program), Err(Refusal::Missing));
+        if !(is_there(INSTALLED.identify) && is_there(INSTALLED.develop)) {
+            return None;
+        }
         // The one program of the package that tells its version, among its usage.
-        let said = run("simple_dcraw", &[], None, WORDS).unwrap_or_default();
+        let said = usage("simple_dcraw").unwrap_or_default();
         let said = String::from_utf8_lossy(&said);
         let number = said.split_once("LibRaw ").map_or("", |(_, rest)| rest);
         let number: String =
@@ -80,6 +88,8 @@ pub(in crate::image) struct Developed {
     programs: Programs,
     file: PathBuf,
     bytes: u64,
+    /// Samples of the whole sensor.
+    sensor: u64,
     /// Before it is turned.
     size: (usize, usize),
     orientation: Orientation,
@@ -98,29 +108,40 @@ impl Developed {
         file: &Path,
         bytes: u64,
     ) -> Result<Self, Refusal> {
-        let words = run(programs.identify, &["-v".as_ref()], Some(file), WORDS)?;
+        let words = run(programs.identify, &["-v".as_ref()], Some(file), WORDS, TO_IDENTIFY)?;
         let words = String::from_utf8_lossy(&words);
         let unknown = |what: &str| Refusal::Other(format!("it does not tell {what}"));
-        let size = after(&words, "Output size:").and_then(size).ok_or_else(|| unknown("a size"))?;
-        if (size.0 * size.1) as u64 > MAX_PIXELS {
-            let message = format!("{} x {} px are too many", size.0, size.1);
-            return Err(Refusal::Other(message));
+        // Texts of the file, which may hold such lines of their own, all come before.
+        let told = words.rfind("\nFull size:").map(|at| &words[at..]);
+        let told = told.ok_or_else(|| unknown("a size"))?;
+        let size_of = |what| after(told, what).and_then(size).ok_or_else(|| unknown("a size"));
+        let (full, size) = (size_of("Full size:")?, size_of("Output size:")?);
+        for (width, height) in [full, size] {
+            if (width * height) as u64 > MAX_PIXELS {
+                return Err(Refusal::Other(format!("{width} x {height} px are too many")));
+            }
         }
-        // LibRaw's codes of the turns that cameras note.
-        let orientation = match after(&words, "Image flip:") {
-            Some("3") => Orientation::Rotate180,
-            Some("5") => Orientation::Rotate270,
-            Some("6") => Orientation::Rotate90,
-            _ => Orientation::NoTransforms,
+        // LibRaw's codes of the turns and mirrors that EXIF notes.
+        let exif = match after(told, "Image flip:") {
+            Some("1") => 2,
+            Some("2") => 4,
+            Some("3") => 3,
+            Some("4") => 5,
+            Some("5") => 8,
+            Some("6") => 6,
+            Some("7") => 7,
+            _ => 1,
         };
+        let orientation = Orientation::from_exif(exif).unwrap_or(Orientation::NoTransforms);
         let size = if orientation.to_exif() >= 5 { (size.1, size.0) } else { size };
-        let noted = after(&words, "As shot").or_else(|| after(&words, "Derived D65 multipliers:"));
+        let noted = after(told, "As shot").or_else(|| after(told, "Derived D65 multipliers:"));
         let camera = after(&words, "Camera:")
             .map_or("", |line| line.split_once(" ID:").map_or(line, |(camera, _)| camera));
         Ok(Self {
             programs,
             file: file.to_owned(),
             bytes,
+            sensor: (full.0 * full.1) as u64,
             size,
             orientation,
             camera: camera.trim().chars().take(CAMERA_LENGTH).collect(),
@@ -152,7 +173,8 @@ impl Developed {
     /// Bytes that reading needs: LibRaw's samples and four channels, and its picture twice.
     pub(in crate::image) fn decoded_bytes(&self) -> u64 {
         let pixels = (self.size.0 * self.size.1) as u64;
-        self.bytes.saturating_add(pixels.saturating_mul(2 + 8 + 12))
+        let developed = pixels.saturating_mul(8 + 12);
+        self.bytes.saturating_add(2 * self.sensor).saturating_add(developed)
     }
 
     /// As [`super::Raw::light`].
@@ -184,9 +206,9 @@ impl Developed {
         }
         arguments.push("-r".as_ref());
         arguments.extend(balance.iter().map(OsStr::new));
-        let most = 64 + 6 * (width * height) as u64;
+        let most = 64 + 6 * ((width + 2) * (height + 2)) as u64;
         let unread = |message| ImageError::RawUnread { message };
-        let bytes = run(self.programs.develop, &arguments, Some(&self.file), most)
+        let bytes = run(self.programs.develop, &arguments, Some(&self.file), most, TO_DEVELOP)
             .map_err(|refusal| refusal.after("LibRaw knows its header alone"))?;
         let picture = Picture::read(&bytes).ok_or_else(|| {
             unread("LibRaw's picture is incomplete, perhaps for lack of memory".to_owned())
@@ -300,7 +322,10 @@ fn run(
     arguments: &[&OsStr],
     file: Option<&Path>,
     most: u64,
+    patience: Duration,
 ) -> Result<Vec<u8>, Refusal> {
+    let until = Instant::now() + patience;
+    let late = || Refusal::Other(format!("{program} took more than {} s", patience.as_secs()));
     let failed = |error: io::Error| match error.kind() {
         io::ErrorKind::NotFound => Refusal::Missing,
         _ => Refusal::Other(error.to_string()),
@@ -323,15 +348,25 @@ fn run(
         // The receiver has gone if it took too long.
         let _ = sender.send(read.map(|_| bytes));
     });
-    let Ok(bytes) = written.recv_timeout(PATIENCE) else {
+    let Ok(bytes) = written.recv_timeout(patience) else {
         child.kill();
-        let message = format!("{program} took more than {} s", PATIENCE.as_secs());
-        return Err(Refusal::Other(message));
+        return Err(late());
     };
     let bytes = bytes.map_err(failed)?;
-    // It may still wait to write more than it may.
+    // It may be blocked writing what exceeds the limit.
     let is_all = (bytes.len() as u64) < most;
-    let status = if is_all { child.wait().map_err(failed)?.code() } else { None };
+    let mut status = None;
+    while is_all && status.is_none() {
+        if Instant::now() > until {
+            child.kill();
+            return Err(late());
+        }
+        status = child.try_wait().map_err(failed)?;
+        if status.is_none() {
+            thread::sleep(PAUSE);
+        }
+    }
+    let status = status.and_then(|status| status.code());
     if status.is_some_and(is_not_started) {
         return Err(Refusal::Missing);
     }

@@ -107,8 +107,10 @@ fn what_libraw_refuses_or_cuts_short_is_an_error_with_its_words() {
     let error = Developed::open(INSTALLED, &path, 0).err().expect("refused").after("one");
     assert!(error.to_string().contains("LibRaw says: Cannot"), "{error}");
 
-    let told =
-        "echo 'Camera: A B ID: 0x0'; echo 'Output size: 64 x 48'; echo '  As shot 2 1 1.5 0'";
+    // The file's own text comes first.
+    let told = "echo 'Camera: A B ID: 0x0'
+        echo 'UniqueCameraModel: =A'; echo 'Full size: 1 x 1'; echo 'Output size: 1 x 1='
+        echo 'Full size: 70 x 50'; echo 'Output size: 64 x 48'; echo '  As shot 2 1 1.5 0'";
     let identify = stand_in(&folder, "identify", told);
     for (script, reason) in [
         ("printf 'P6\\n64 48\\n65535\\nabc'", "incomplete"),
@@ -118,9 +120,33 @@ fn what_libraw_refuses_or_cuts_short_is_an_error_with_its_words() {
     ] {
         let programs = Programs { identify, develop: stand_in(&folder, "develop", script) };
         let developed = Developed::open(programs, &path, 0).ok().expect("known");
-        assert_eq!(developed.header().camera, "A B");
+        assert_eq!((&*developed.header().camera, developed.upright()), ("A B", (64, 48)));
         let error = developed.light(64, None).expect_err(script).to_string();
         assert!(error.contains(reason), "{script}: {error}");
+    }
+}
+
+#[test]
+fn a_sensor_beyond_the_limit_is_refused_and_mirrors_are_known() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = saved(&folder, "a.dng", b"no raw file");
+    let open = |name: &str, told: &str| {
+        let lines: String = told.lines().map(|line| format!("echo '{line}'\n")).collect();
+        let identify = stand_in(&folder, name, &lines);
+        Developed::open(Programs { identify, develop: identify }, &path, 0)
+    };
+    let large = open("large", "\nFull size: 60000 x 60000\nOutput size: 64 x 48\nAs shot 2 1 1 0");
+    let error = large.err().expect("refused").after("one").to_string();
+    assert!(error.contains("60000 x 60000 px are too many"), "{error}");
+    for (flip, exif, upright) in [(0, 1, (64, 48)), (1, 2, (64, 48)), (2, 4, (64, 48))]
+        .into_iter()
+        .chain([(4, 5, (64, 48)), (5, 8, (64, 48)), (7, 7, (64, 48))])
+    {
+        let told = format!(
+            "\nFull size: 70 x 50\nOutput size: 64 x 48\nImage flip: {flip}\nAs shot 2 1 1 0"
+        );
+        let developed = open(&format!("flip{flip}"), &told).ok().expect("known");
+        assert_eq!((developed.orientation().to_exif(), developed.upright()), (exif, upright));
     }
 }
 
