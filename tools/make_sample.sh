@@ -1,7 +1,7 @@
 #!/bin/sh
 # Makes the sample that the server ships, src/server/sample/, with FLED or the checkout's program:
-# photographs of a made-up room at dusk, as JPEG files, and the finished result of a run of them. Run once,
-# with the result committed. Pictures are compressed as far as 2 MB for all of it require.
+# photographs of a made-up room at dusk, as JPEG files, and the finished result of a run of them. Run
+# once, with the result committed. Pictures are compressed as far as 2 MB for all of it require.
 set -eu
 cd "$(dirname "$0")/.."
 fled=${FLED:-${CARGO_TARGET_DIR:-target}/release/fled}

@@ -51,6 +51,8 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
+    /// Permits for waiting for a mesh, and making it.
+    pub mesh_places: Semaphore,
     /// Held while a mesh is made.
     pub meshing: tokio::sync::Mutex<()>,
     /// Permits for generating exports while they are sent.
@@ -91,6 +93,7 @@ impl App {
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
+            mesh_places: Semaphore::new(limits.exports),
             meshing: tokio::sync::Mutex::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),

@@ -9,7 +9,7 @@ use std::path::Path;
 use flate2::read::GzDecoder;
 use fled_core::camera::NamedCamera;
 use fled_core::camera::normalisation::Normalisation;
-use fled_core::device::{AUTO, Device, PROCESSOR};
+use fled_core::device::{Device, PROCESSOR};
 use fled_core::event::Event;
 use fled_core::gaussians::{Gaussians, ply, spz};
 use fled_core::image::EncodeFormat;
@@ -70,6 +70,11 @@ pub fn recording() -> io::Result<Recording> {
     for line in events.lines() {
         match serde_json::from_str(line)? {
             Event::Finished { best_round, .. } => recording.best_round = best_round,
+            Event::DetailChosen { mut detail } => {
+                // Not of this machine.
+                detail.because = "as recorded".to_owned();
+                recording.events.push(Event::DetailChosen { detail });
+            }
             event => recording.events.push(event),
         }
     }
@@ -90,7 +95,7 @@ pub fn write_capture(dir: &Path) -> io::Result<usize> {
 
 /// Writes the folder of the recorded run, without the scene of earlier rounds. What other files
 /// hold is not shipped: pictures of the photographs and of their truth are copies, and restored
-/// views are rendered.
+/// views are rendered, but for a processor without AVX2, which has none.
 ///
 /// # Errors
 /// When a file cannot be written or a view cannot be rendered.
@@ -115,9 +120,15 @@ pub fn write_result(run: &RunFolder, delivered: u32) -> io::Result<()> {
 
 /// Renders the restored views.
 fn render(run: &RunFolder, scene: &Gaussians) -> io::Result<()> {
-    // A processor without AVX2 has software Vulkan.
-    let device = Device::new(PROCESSOR).or_else(|_| Device::new(AUTO));
-    let renderer = Renderer::new(&device.map_err(io::Error::other)?);
+    // The driver of a GPU is for other processes, whose crash costs less.
+    let device = match Device::new(PROCESSOR) {
+        Ok(device) => device,
+        Err(error) => {
+            tracing::warn!(%error, "the sample lacks its restored views");
+            return Ok(());
+        }
+    };
+    let renderer = Renderer::new(&device);
     let scene = renderer.upload(scene).map_err(io::Error::other)?;
     let cameras: Vec<NamedCamera> = serde_json::from_slice(&fs::read(run.cameras())?)?;
     fs::create_dir_all(run.restored())?;

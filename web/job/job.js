@@ -148,7 +148,7 @@ export function jobPage(main, who, id) {
       showPhotographs(job);
     }
     if (cameras) views.update(cameras, rounds, hasTruth(report.rounds), notable(report));
-    novel?.update(rounds);
+    novel?.update(rounds.filter((round) => artifacts.some(({ name }) => name === `rounds/${round}/scene.ply`)));
     if (job.state !== "succeeded") return;
     showFiles(artifacts);
     await capture;

@@ -27,7 +27,7 @@ export function sending(files, report) {
   const requests = new Set();
   const sleepers = new Set();
   const reasons = new Set();
-  let [stopped, finished, most] = [false, 0, PIECE];
+  let [stopped, hasBegun, finished, most] = [false, false, 0, PIECE];
 
   function reportProgress() {
     if (stopped) return;
@@ -140,9 +140,11 @@ export function sending(files, report) {
   }
 
   async function begin(path, file) {
-    const metadata = `filename ${base64(path)},for ${base64("job")}`;
+    // Only the first ones ask for room: what has begun waits for it at its end.
+    const metadata = `filename ${base64(path)}${hasBegun ? "" : `,for ${base64("job")}`}`;
     const headers = { "Tus-Resumable": "1.0.0", "Upload-Length": String(file.size), "Upload-Metadata": metadata };
     const answer = await ask("POST", UPLOADS, headers);
+    hasBegun = true;
     return answer.getResponseHeader("Location").split("/").pop();
   }
 

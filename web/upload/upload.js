@@ -32,10 +32,11 @@ export function startForm() {
   const problem = h("p", { class: "problem", role: "alert" });
   const options = optionsForm();
   const chosen = chosenFiles();
+  const trial = h("button", { type: "button", onclick: sample }, "Try a sample");
   const drop = h("div", { class: "drop" },
     h("p", {}, "Drop photographs, a folder, a ZIP file or a video anywhere on this page, or"),
     h("div", { class: "row" }, h("label", { class: "button" }, "Choose files", files), h("label", { class: "button" }, "Choose a folder", folder),
-      h("button", { type: "button", onclick: sample }, "Try a sample")),
+      trial),
     h("p", { class: "hint" }, "fled uses the 40 sharpest frames of a video. A folder may contain ground truth in gt/."));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
@@ -98,22 +99,26 @@ export function startForm() {
       location.hash = `#/jobs/${ready.id}`;
       return;
     }
-    button.disabled = true;
+    trial.disabled = true;
     status.textContent = "Preparing the sample…";
     try {
-      /** @type {import("fled-api").Capture} */
-      const capture = await api("v1/captures/sample", { method: "POST" });
-      /** @type {import("fled-api").Jobs} */
-      const { jobs: [recorded] } = await api(`v1/jobs?capture_id=${capture.id}`);
-      const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
-      /** @type {import("fled-api").Job} */
-      const job = options.asFor(recorded) ? recorded : await send("v1/jobs", body);
+      let job = finished.find(({ warnings }) => warnings.some(({ code }) => code === "recorded"));
+      if (!job) {
+        /** @type {import("fled-api").Capture} */
+        const capture = await api("v1/captures/sample", { method: "POST" });
+        /** @type {import("fled-api").Jobs} */
+        const { jobs } = await api(`v1/jobs?capture_id=${capture.id}`);
+        [job] = jobs;
+      }
+      if (!options.asFor(job)) {
+        job = await send("v1/jobs", { capture_id: job.capture_id, preset: options.preset.value, options: options.chosen() });
+      }
       if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
       if (!gone && !options.fault(error)) problem.textContent = error.message;
     }
     status.textContent = "";
-    button.disabled = false;
+    trial.disabled = false;
   }
 
   /** The server keeps its pieces; the upload resumes when the same files are chosen. */

@@ -14,12 +14,19 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
         return Err("no --output FILE".into());
     };
     match std::env::var("FLED_FAKE_MESH").as_deref() {
-        Ok("empty") => return Err("no surface is seen".into()),
-        Ok("fine") => std::process::exit(2),
+        Ok("empty") => end(3, "no surface is seen"),
+        Ok("fine") => end(2, "its voxels are too fine"),
+        Ok("broken") => return Err("no reason".into()),
         Ok("large") => std::process::abort(),
         Ok("slow") => std::thread::sleep(Duration::from_secs(600)),
         _ => {}
     }
     let words: Vec<_> = words.iter().map(|word| word.to_string_lossy().into_owned()).collect();
     Ok(std::fs::write(Path::new(output), words.join("\n"))?)
+}
+
+/// Ends as `fled` does.
+fn end(code: i32, reason: &str) -> ! {
+    eprintln!("a warning\nfled: {reason}");
+    std::process::exit(code)
 }

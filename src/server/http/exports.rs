@@ -152,7 +152,7 @@ pub async fn list(
 /// Exports the result in one format.
 ///
 /// The file is made while it is sent, so its length is unknown and ranges are not supported. A mesh
-/// takes seconds; one is made at a time.
+/// is sent once it is made; one is made at a time.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
     tag = "results",
     params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), DownloadQuery),
@@ -160,7 +160,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "The crop, the degree or the mesh cannot be used, or this export has no scene", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`crop`, `sh_degree`, `triangles` or `voxel` cannot be used, this export has no scene, or a mesh takes too much time or memory (`too_large`)", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
@@ -185,10 +185,10 @@ pub async fn download(
         (header::CONTENT_DISPOSITION, format!("attachment; filename=\"{}\"", export.name())),
     ];
     if export.is_mesh() {
-        drop(prepared);
+        // Other exports need not wait for it.
+        drop((prepared, turn));
         let arguments = query.arguments(&app.data.output(&id), export);
         let made = meshes::make(&app, arguments).await?;
-        drop(turn);
         return Ok((headers, made).into_response());
     }
     let body = body_of(move |pieces| {
@@ -260,7 +260,7 @@ fn media_type(export: Export) -> &'static str {
     }
 }
 
-fn busy() -> Problem {
+pub(super) fn busy() -> Problem {
     let detail = "Too many files are being made.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
         .hint("Try again in a moment.")

@@ -13,25 +13,31 @@ use tokio::fs::File;
 use tokio::time::timeout;
 use tokio_util::io::ReaderStream;
 
-use super::problem::Problem;
+use super::exports::busy;
+use super::problem::{Problem, disk_full};
 use crate::app::App;
 use crate::error::ServerError;
 use crate::process::{Group, Line};
 use crate::redaction::without_paths;
 
-/// The exit code of a command with impossible arguments.
+/// The exit code of a command with impossible arguments, and that of one whose input is unusable.
 const WRONG_USE: i32 = 2;
+const UNUSABLE: i32 = 3;
 
-/// What remedies a mesh that takes too much.
-const SMALLER: &str = "Crop the scene, or ask for fewer `triangles` or a larger `voxel`.";
+/// The signal with which a process ends that gets no memory.
+const ABORTED: i32 = 6;
+
+/// Variables of the process: each thread and arena reserves address space, which is limited.
+const FEW_THREADS: [(&str, &str); 2] = [("RAYON_NUM_THREADS", "8"), ("MALLOC_ARENA_MAX", "2")];
 
 /// Makes a mesh with these arguments of `fled export` and sends it. If the client leaves, the
 /// process ends.
 ///
 /// # Errors
 /// 409 if the scene has no mesh; 422 if it takes too much time or memory, or its voxels cannot be
-/// used.
+/// used; 503 if too many wait.
 pub(super) async fn make(app: &App, arguments: Vec<OsString>) -> Result<Response, Problem> {
+    let _place = app.mesh_places.try_acquire().map_err(|_| busy())?;
     let _turn = app.meshing.lock().await;
     let incoming = app.data.incoming();
     // Removed on return: the open file can still be read.
@@ -43,7 +49,7 @@ pub(super) async fn make(app: &App, arguments: Vec<OsString>) -> Result<Response
     let seconds = app.limits.meshing.as_secs();
     let ended = timeout(app.limits.meshing, run(app, &arguments)).await;
     let (status, words) =
-        ended.map_err(|_| too_much(&format!("The mesh takes more than {seconds} s.")))??;
+        ended.map_err(|_| too_much(&format!("Making the mesh takes more than {seconds} s.")))??;
     if !status.success() {
         return Err(failed(app, status, &words));
     }
@@ -56,7 +62,7 @@ pub(super) async fn make(app: &App, arguments: Vec<OsString>) -> Result<Response
 /// Runs the process to its end and returns what it said.
 async fn run(app: &App, arguments: &[OsString]) -> Result<(ExitStatus, Vec<String>), Problem> {
     let program = Path::new("fled export");
-    let group = Group::spawn(&app.config.export_command, arguments, &[]);
+    let group = Group::spawn(&app.config.export_command, arguments, &FEW_THREADS);
     let mut group = group.map_err(ServerError::io(program))?;
     drop(group.stdin.take());
     let mut words = Vec::new();
@@ -67,21 +73,23 @@ async fn run(app: &App, arguments: &[OsString]) -> Result<(ExitStatus, Vec<Strin
 }
 
 fn failed(app: &App, status: ExitStatus, words: &[String]) -> Problem {
-    let said = words.join("\n");
-    tracing::warn!(%status, said, "a mesh was not made");
-    if status.signal().is_some() {
-        let most = app.limits.mesh_bytes >> 20;
-        return too_much(&format!("The mesh takes more than {most} MiB of memory."));
+    let all = words.join("\n");
+    tracing::warn!(%status, words = all, "a mesh was not made");
+    let reason = words.iter().find_map(|line| line.strip_prefix("fled: ")).unwrap_or_default();
+    let detail = without_paths(&format!("No mesh can be made: {reason}."));
+    match (status.code(), status.signal()) {
+        (Some(WRONG_USE), _) => Problem::unprocessable("bad_input", detail),
+        (Some(UNUSABLE), _) => Problem::conflict("no_export", detail),
+        (_, Some(ABORTED)) => {
+            let most = app.limits.mesh_bytes >> 20;
+            too_much(&format!("Making the mesh takes more than {most} MiB of memory."))
+        }
+        _ if app.is_disk_full() => disk_full(),
+        _ => Problem::internal(),
     }
-    let first = words.first().map_or("", |line| line.trim_start_matches("fled: "));
-    let detail = without_paths(&format!("No mesh can be made: {first}."));
-    let problem = match status.code() {
-        Some(WRONG_USE) => Problem::unprocessable("bad_input", detail),
-        _ => Problem::conflict("no_export", detail),
-    };
-    problem.hint(SMALLER)
 }
 
 fn too_much(detail: &str) -> Problem {
-    Problem::unprocessable("too_large", detail).hint(SMALLER)
+    Problem::unprocessable("too_large", detail)
+        .hint("Crop the scene, or ask for fewer `triangles` or a larger `voxel`.")
 }

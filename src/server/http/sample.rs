@@ -25,8 +25,8 @@ use crate::store::Ended;
 
 /// Creates a capture of a made-up dark room, with poses and ground truth, and its finished job.
 ///
-/// It shows what the service does without photographs of one's own. The result was recorded when
-/// the server was made; a warning of the job says so.
+/// It shows what the service does before one has taken photographs. The result was recorded and
+/// ships with the server; a warning on the job says so. Webhooks report it like that of a run.
 #[utoipa::path(post, path = "/v1/captures/sample", operation_id = "create_sample",
     tag = "captures",
     responses(

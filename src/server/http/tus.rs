@@ -118,13 +118,13 @@ pub async fn options_of_one(app: State<Arc<App>>) -> Response {
     params(
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
         ("Upload-Length" = u64, Header, description = "Size of the file, bytes"),
-        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Comma-separated keys with values in base64; `filename` is required, and `for` with the value `job` asks whether there is room for a job, too")),
+        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Comma-separated keys with values in base64; `filename` is required, and `for` set to `job` refuses the upload while there is no room for another job")),
     request_body(content = Option<Bytes>, content_type = "application/offset+octet-stream"),
     responses(
         (status = 201, description = "The upload was started", headers(("Location" = String),
             ("Upload-Offset" = u64), ("Upload-Expires" = String), ("Tus-Resumable" = String))),
         (status = 412, description = "Unsupported tus version; `Tus-Version` names the supported one", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
-        (status = 503, description = "It is for a job, and too many are waiting", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "The upload is for a job, and too many jobs are waiting", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full, or the quota is used up", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,

@@ -81,6 +81,8 @@ async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     for forget in [
         "DELETE FROM rounds WHERE job_id = $1",
         "DELETE FROM stages WHERE job_id = $1",
+        // It is no longer the result that shipped.
+        "DELETE FROM warnings WHERE job_id = $1 AND code = 'recorded'",
         // Reused poses do not warn again.
         "DELETE FROM warnings WHERE job_id = $1 AND at > (
             SELECT MIN(at) FROM events WHERE job_id = $1 AND kind = 'stage_finished'

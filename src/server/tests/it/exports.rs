@@ -125,16 +125,17 @@ fn a_mesh_is_made_by_a_process_with_limits() {
     assert!(refused["detail"].as_str().is_some_and(|text| text.contains("harmonics")));
     for (plan, status, words) in [
         ("empty", 409, "no surface is seen"),
-        ("fine", 422, "No mesh can be made"),
+        ("fine", 422, "its voxels are too fine"),
         ("large", 422, "3072 MiB of memory"),
         ("slow", 422, "more than 1 s"),
+        ("broken", 500, "The server failed"),
     ] {
         let plan = [("FLED_FAKE_MESH", plan), ("FLED_FAKE_MESHING_MS", "1000")];
         let server = Server::start_with(&plan);
         let problem = make(&server, "").expect(status).json();
         let detail = problem["detail"].as_str().expect("a detail");
         assert!(detail.contains(words), "{detail}");
-        assert!(problem["hint"].as_str().expect("a hint").contains("voxel"), "{problem}");
+        assert_eq!(problem["code"] == "too_large", problem["hint"].is_string(), "{problem}");
         let incoming = server.data.path().join("data/incoming");
         assert_eq!(fs::read_dir(incoming).expect("a folder").count(), 0);
     }

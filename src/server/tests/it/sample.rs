@@ -59,6 +59,13 @@ fn a_sample_has_a_finished_job_and_starts_others() {
     let own = server.post_json("/v1/jobs", &body, &[]).expect(202).json();
     let own = server.wait_state(own["id"].as_str().expect("id"), "succeeded");
     assert_eq!(own["attempts"], 1);
+
+    // Run with other options, it is no recording any more.
+    let other = json!({ "options": { "adapter": "ok" } });
+    server.post_json(&format!("/v1/jobs/{id}/retry"), &other, &[]).expect(202);
+    let again = server.wait_state(id, "succeeded");
+    let warnings = again["warnings"].as_array().expect("warnings");
+    assert!(warnings.iter().all(|warning| warning["code"] != "recorded"), "{again}");
 }
 
 #[test]
