@@ -3,8 +3,8 @@
 #
 # Adobe's mark (APP14) has one byte that says how components were converted. Its 0 means RGB for three components and
 # CMYK for four. `decode_headers` goes by that byte alone; only `decode` looks at the number of components. Who chooses
-# how to treat a picture after its header, as the two functions invite, sees inks where there are none. If the components
-# are named R, G and B, as libjpeg names them, the header is read right.
+# how to treat a picture after its header, as the two functions invite, sees inks where there are none. If the
+# components are named R, G and B, as libjpeg names them, the header is read right.
 #
 # Output seen with Rust 1.95, zune-jpeg 0.5.15, Pillow 12.0.0:
 #   Pillow reads (200, 100, 50)
