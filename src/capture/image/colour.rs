@@ -52,7 +52,7 @@ enum Form {
     Light,
 }
 
-/// What the samples of a picture are.
+/// The kind of a picture's samples.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Channels {
     Grey,

@@ -60,7 +60,7 @@ pub struct RawHeader {
     pub camera: String,
     /// Multipliers of red, green and blue that make white neutral, as shot; green is 1.
     pub white_balance: [f32; 3],
-    /// What reads the file, such as `LibRaw 0.20.2`, in place of `flashraw`.
+    /// The library that reads the file in place of `flashraw`, such as `LibRaw 0.20.2`.
     pub reader: Option<String>,
 }
 

@@ -16,7 +16,7 @@ use super::parent::{is_parent, orphaned};
 /// Time between two looks. COLMAP's end is polled as often.
 const POLL: Duration = Duration::from_millis(25);
 
-/// What shells add to the number of a signal.
+/// The offset of exit codes that stand for signals in shells.
 const BY_SIGNAL: i32 = 128;
 
 pub fn die_with(parent: &OsStr) -> io::Result<()> {

@@ -1,4 +1,4 @@
-//! The inks of CMYK pictures, of which `image` hands over RGB only.
+//! The inks of CMYK pictures: `image` converts them to RGB.
 //!
 //! They are in the channels of an RGBA picture, 0 for no ink, so that `image` can turn them.
 

@@ -112,9 +112,9 @@ impl Developed {
         let words = String::from_utf8_lossy(&words);
         let unknown = |what: &str| Refusal::Other(format!("it does not tell {what}"));
         // Texts of the file, which may hold such lines of their own, all come before.
-        let told = words.rfind("\nFull size:").map(|at| &words[at..]);
-        let told = told.ok_or_else(|| unknown("a size"))?;
-        let size_of = |what| after(told, what).and_then(size).ok_or_else(|| unknown("a size"));
+        let report = words.rfind("\nFull size:").map(|at| &words[at..]);
+        let report = report.ok_or_else(|| unknown("a size"))?;
+        let size_of = |what| after(report, what).and_then(size).ok_or_else(|| unknown("a size"));
         let (full, size) = (size_of("Full size:")?, size_of("Output size:")?);
         for (width, height) in [full, size] {
             if (width * height) as u64 > MAX_PIXELS {
@@ -122,7 +122,7 @@ impl Developed {
             }
         }
         // LibRaw's codes of the turns and mirrors that EXIF notes.
-        let exif = match after(told, "Image flip:") {
+        let exif = match after(report, "Image flip:") {
             Some("1") => 2,
             Some("2") => 4,
             Some("3") => 3,
@@ -134,7 +134,7 @@ impl Developed {
         };
         let orientation = Orientation::from_exif(exif).unwrap_or(Orientation::NoTransforms);
         let size = if orientation.to_exif() >= 5 { (size.1, size.0) } else { size };
-        let noted = after(told, "As shot").or_else(|| after(told, "Derived D65 multipliers:"));
+        let noted = after(report, "As shot").or_else(|| after(report, "Derived D65 multipliers:"));
         let camera = after(&words, "Camera:")
             .map_or("", |line| line.split_once(" ID:").map_or(line, |(camera, _)| camera));
         Ok(Self {
@@ -213,7 +213,7 @@ impl Developed {
         let picture = Picture::read(&bytes).ok_or_else(|| {
             unread("LibRaw's picture is incomplete, perhaps for lack of memory".to_owned())
         })?;
-        // What has no mosaic is not halved.
+        // A file without a mosaic is not halved.
         let is_like = |scale: usize| {
             let off = |found: usize, wanted: usize| (scale * found).abs_diff(wanted);
             off(picture.width, width).max(off(picture.height, height)) <= 2
@@ -282,7 +282,7 @@ fn after<'a>(words: &'a str, begin: &str) -> Option<&'a str> {
     words.lines().find_map(|line| line.trim_start().strip_prefix(begin)).map(str::trim)
 }
 
-/// The exposure, if it is told.
+/// The exposure, if it is stated.
 fn shot(words: &str) -> Option<Shot> {
     let number = |text: &str| {
         let value: f64 = text.split_whitespace().next()?.parse().ok()?;
