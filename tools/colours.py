@@ -25,7 +25,7 @@ from PIL import Image, ImageCms, features
 import raw_twins
 
 sys.path.append(str(Path(__file__).resolve().parent.parent / "tests" / "golden"))
-from colour import D50_OF_ICC, SPACES, to_pcs
+from colour import SPACES, fixed, profile, to_pcs
 
 ROWS, COLUMNS, PATCH = 8, 12, 32
 # Levels of 255.
@@ -34,29 +34,14 @@ TOLERANCES = {"png": 1.0, "tif": 1.0, "webp": 1.0, "jpg": 2.0, "heic": 2.0, "dng
 DIM = 30
 
 
-def profile(name):
-    """An ICC profile of version 2 with curves and primaries."""
+def profile_of(name):
+    """An ICC profile with curves and primaries."""
     primaries, white, light_of = SPACES[name]
     matrix = to_pcs(primaries, white)
-    fixed = lambda v: struct.pack(">3i", *(round(65536 * x) for x in v))
     light = light_of(np.linspace(0, 1, 4096))
     curve = b"curv\0\0\0\0" + struct.pack(">I", 4096) + np.round(65535 * light).astype(">u2").tobytes()
-    text = f"fled {name}".encode() + b"\0"
-    tags = {
-        b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
-        b"cprt": b"text\0\0\0\0public domain\0",
-        b"wtpt": b"XYZ \0\0\0\0" + fixed(D50_OF_ICC),
-        **{tag: b"XYZ \0\0\0\0" + fixed(matrix[:, c]) for c, tag in enumerate((b"rXYZ", b"gXYZ", b"bXYZ"))},
-        **{tag: curve for tag in (b"rTRC", b"gTRC", b"bTRC")},
-    }
-    directory, body = struct.pack(">I", len(tags)), b""
-    start = 128 + 4 + 12 * len(tags)
-    for tag, content in tags.items():
-        directory += tag + struct.pack(">II", start + len(body), len(content))
-        body += content + bytes(-len(content) % 4)
-    size = start + len(body)
-    head = struct.pack(">I4xI", size, 0x02400000) + b"mntrRGB XYZ " + struct.pack(">6H", 2026, 1, 1, 0, 0, 0)
-    return (head + b"acsp" + bytes(28) + fixed(D50_OF_ICC)).ljust(128, b"\0") + directory + body
+    columns = {tag: b"XYZ \0\0\0\0" + fixed(matrix[:, c]) for c, tag in enumerate((b"rXYZ", b"gXYZ", b"bXYZ"))}
+    return profile(f"fled {name}", b"mntrRGB XYZ ", {**columns, **{tag: curve for tag in (b"rTRC", b"gTRC", b"bTRC")}})
 
 
 def chart(seed):
@@ -82,7 +67,7 @@ def patches(picture):
 
 def written(folder, extension, space, seed):
     """Writes a chart; returns its name and what it means in sRGB, levels of 255."""
-    colours, icc = chart(seed), profile(space)
+    colours, icc = chart(seed), profile_of(space)
     picture = Image.fromarray(enlarged(colours))
     path = folder / f"{space.lower()}.{extension}"
     if extension == "heic":
@@ -95,7 +80,7 @@ def written(folder, extension, space, seed):
     to_srgb = ImageCms.profileToProfile(
         Image.open(path).convert("RGB"),
         ImageCms.ImageCmsProfile(io.BytesIO(icc)),
-        ImageCms.ImageCmsProfile(io.BytesIO(profile("SRGB"))),
+        ImageCms.ImageCmsProfile(io.BytesIO(profile_of("SRGB"))),
         renderingIntent=ImageCms.Intent.RELATIVE_COLORIMETRIC,
     )
     return path, patches(np.asarray(to_srgb).astype(float))

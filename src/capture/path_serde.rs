@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What the system's paths consist of.
+/// The unit of the system's path encoding.
 #[cfg(unix)]
 type Unit = u8;
 #[cfg(windows)]

@@ -2,6 +2,8 @@
 """Linear sRGB light of patches in other colour spaces, from their definitions: the constants of
 src/core/image/colour/tests.rs. Needs numpy."""
 
+import struct
+
 import numpy as np
 
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
@@ -21,6 +23,29 @@ def to_pcs(primaries, white):
     matrix = matrix * np.linalg.solve(matrix, xyz(*white))
     cones = (BRADFORD @ D50_OF_ICC) / (BRADFORD @ xyz(*white))
     return np.linalg.inv(BRADFORD) @ np.diag(cones) @ BRADFORD @ matrix
+
+
+def fixed(values):
+    """Numbers of an ICC profile, 16 bits before and after the point."""
+    return struct.pack(f">{len(values)}i", *(round(65536 * v) for v in values))
+
+
+def profile(name, kind, tags):
+    """The bytes of an ICC profile of version 2: `kind` is its class, colour space and connection space."""
+    text = name.encode() + b"\0"
+    tags = {
+        b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
+        b"cprt": b"text\0\0\0\0public domain\0",
+        b"wtpt": b"XYZ \0\0\0\0" + fixed(D50_OF_ICC),
+        **tags,
+    }
+    directory, body = struct.pack(">I", len(tags)), b""
+    start = 128 + 4 + 12 * len(tags)
+    for tag, content in tags.items():
+        directory += tag + struct.pack(">II", start + len(body), len(content))
+        body += content + bytes(-len(content) % 4)
+    head = struct.pack(">I4xI", start + len(body), 0x02400000) + kind + struct.pack(">6H", 2026, 1, 1, 0, 0, 0)
+    return (head + b"acsp" + bytes(28) + fixed(D50_OF_ICC)).ljust(128, b"\0") + directory + body
 
 
 def srgb_curve(v):

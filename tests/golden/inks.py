@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageCms, features
 
-from colour import D50_OF_ICC
+from colour import profile
 
 OUT = Path(__file__).parent / "photographs"
 SIDE, ENTRIES, BLOCK = 5, 17, 16
@@ -48,26 +48,6 @@ def table():
     return head + words(np.tile(gain(steps), 4)) + words(coded) + words(np.concatenate([steps**1.25, steps, steps]))
 
 
-def profile():
-    """An ICC profile of version 2, of the class of printers, with one table for all intents."""
-    text = b"fled inks\0"
-    tags = {
-        b"desc": b"desc\0\0\0\0" + struct.pack(">I", len(text)) + text + bytes(78),
-        b"cprt": b"text\0\0\0\0public domain\0",
-        b"wtpt": b"XYZ \0\0\0\0" + struct.pack(">3i", *(round(65536 * v) for v in D50_OF_ICC)),
-        b"A2B0": table(),
-    }
-    directory, body = struct.pack(">I", len(tags)), b""
-    start = 128 + 4 + 12 * len(tags)
-    for tag, content in tags.items():
-        directory += tag + struct.pack(">II", start + len(body), len(content))
-        body += content + bytes(-len(content) % 4)
-    size = start + len(body)
-    head = struct.pack(">I4xI", size, 0x02400000) + b"prtrCMYKLab " + struct.pack(">6H", 2026, 1, 1, 0, 0, 0)
-    white = struct.pack(">3i", *(round(65536 * v) for v in D50_OF_ICC))
-    return (head + b"acsp" + bytes(28) + white).ljust(128, b"\0") + directory + body
-
-
 def ycck(inks):
     """What a JPEG of Adobe's transform 2 stores: JFIF's YCbCr of the first three inks, and the last upside down."""
     r, g, b, k = np.moveaxis(inks.astype(float), -1, 0)
@@ -77,7 +57,8 @@ def ycck(inks):
 
 
 def main():
-    icc = profile()
+    # Of the class of printers, with one table for all intents.
+    icc = profile("fled inks", b"prtrCMYKLab ", {b"A2B0": table()})
     (OUT / "cmyk.icc").write_bytes(icc)
     inks = np.array(PATCHES, np.uint8).repeat(BLOCK, 0)[None].repeat(BLOCK, 0)
     picture = Image.frombytes("CMYK", (BLOCK * len(PATCHES), BLOCK), inks.tobytes())

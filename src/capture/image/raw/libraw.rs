@@ -316,7 +316,7 @@ fn multipliers(text: &str) -> Option<[f32; 4]> {
     balance.iter().all(|v| v.is_finite() && (1e-3..1e3).contains(v)).then_some(balance)
 }
 
-/// What a program writes, at most `most` bytes.
+/// Runs a program and returns its standard output, cut after `most` bytes.
 fn run(
     program: &str,
     arguments: &[&OsStr],

@@ -58,7 +58,7 @@ fn a_raw_file_that_flashraw_refuses_is_read_by_libraw_and_says_so() {
     }
 }
 
-/// Not of samples without a mosaic, of which LibRaw 0.20.2 takes black away and not from white.
+/// Mosaics only: in other files, LibRaw 0.20.2 subtracts black from the samples but not from white.
 #[test]
 fn libraw_agrees_with_what_is_computed_here() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -81,7 +81,7 @@ fn libraw_agrees_with_what_is_computed_here() {
     }
 }
 
-/// A program that prints what a shell is told to.
+/// A program that runs a shell script.
 fn stand_in(folder: &tempfile::TempDir, name: &str, script: &str) -> &'static str {
     let path = saved(folder, name, format!("#!/bin/sh\n{script}\n").as_bytes());
     fs::set_permissions(&path, fs::Permissions::from_mode(0o755)).expect("set");
