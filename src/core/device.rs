@@ -107,6 +107,17 @@ impl Device {
         }
     }
 
+    /// Waits until a GPU has done its work and freed what is no longer used.
+    ///
+    /// # Errors
+    /// A device error, also an earlier one: they last.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        match self {
+            Self::Gpu(gpu) => gpu.wait(),
+            Self::Processor => Ok(()),
+        }
+    }
+
     /// Peak bytes in buffers on a GPU; `None` on the processor.
     pub fn peak_bytes(&self) -> Option<u64> {
         match self {

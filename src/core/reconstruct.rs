@@ -19,6 +19,7 @@ pub mod schedule;
 mod trainer;
 mod training;
 mod trial;
+mod within_memory;
 
 use crate::device::Device;
 pub use crate::shake::Response;
@@ -37,6 +38,7 @@ pub use schedule::Schedule;
 pub use trainer::Stepper;
 pub use training::TrainingState;
 pub use trial::{TrialError, trial};
+pub use within_memory::within_memory;
 
 /// Trains one round.
 ///

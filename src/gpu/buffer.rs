@@ -221,6 +221,9 @@ impl Gpu {
         self.check()?;
         // A binding must not be empty, and uniform structs are multiples of 16 bytes.
         let size = bytes.next_multiple_of(16).max(16);
+        if self.memory().now.saturating_add(size) > self.inner.memory {
+            return Err(GpuError::OutOfMemory { label: label.to_owned(), bytes });
+        }
         let device = &self.inner.device;
         let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let validation = device.push_error_scope(wgpu::ErrorFilter::Validation);

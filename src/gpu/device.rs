@@ -40,6 +40,8 @@ pub(crate) struct Inner {
     pub(crate) groups: Arc<Groups>,
     pub(crate) profile: Mutex<Option<Profile>>,
     pub(crate) tally: Arc<Tally>,
+    /// Most bytes in buffers.
+    pub(crate) memory: u64,
 }
 
 /// The device and its capabilities.
@@ -99,7 +101,7 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::NoAdapter`] when none fits or the device cannot be opened.
     pub fn new(adapter: &str) -> Result<Self, GpuError> {
-        Self::binding_at_most(adapter, u64::MAX)
+        open(&choose(adapters(), adapter)?, Most::default())
     }
 
     /// Opens the best GPU; `None` if all adapters are software or unknown.
@@ -109,7 +111,7 @@ impl Gpu {
     pub fn hardware() -> Result<Option<Self>, GpuError> {
         let kind = |adapter: &wgpu::Adapter| device_type(adapter.get_info().device_type);
         let gpus = adapters().into_iter().filter(|adapter| kind(adapter).is_gpu());
-        gpus.min_by_key(kind).map(|adapter| open(&adapter, u64::MAX)).transpose()
+        gpus.min_by_key(kind).map(|adapter| open(&adapter, Most::default())).transpose()
     }
 
     /// Like [`Gpu::new`], with the adapter's binding limit reduced to `most` bytes, so that tests
@@ -118,8 +120,15 @@ impl Gpu {
     /// # Errors
     /// As [`Gpu::new`].
     pub fn binding_at_most(adapter: &str, most: u64) -> Result<Self, GpuError> {
-        let adapter = choose(adapters(), adapter)?;
-        open(&adapter, most)
+        open(&choose(adapters(), adapter)?, Most { binding: most, ..Most::default() })
+    }
+
+    /// Like [`Gpu::new`], with `most` bytes of memory in buffers, so that tests run out of it.
+    ///
+    /// # Errors
+    /// As [`Gpu::new`].
+    pub fn memory_at_most(adapter: &str, most: u64) -> Result<Self, GpuError> {
+        open(&choose(adapters(), adapter)?, Most { memory: most, ..Most::default() })
     }
 
     /// The device and its capabilities.
@@ -247,14 +256,28 @@ fn largest_heap(_: &wgpu::Adapter) -> Option<u64> {
     None
 }
 
-fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
+/// Limits below those of the adapter, bytes.
+#[derive(Clone, Copy)]
+struct Most {
+    binding: u64,
+    memory: u64,
+}
+
+impl Default for Most {
+    fn default() -> Self {
+        Self { binding: u64::MAX, memory: u64::MAX }
+    }
+}
+
+fn open(adapter: &wgpu::Adapter, most: Most) -> Result<Gpu, GpuError> {
     let raw = adapter.get_info();
     let wanted = wgpu::Features::SUBGROUP
         | wgpu::Features::SUBGROUP_BARRIER
         | wgpu::Features::TIMESTAMP_QUERY;
     let features = adapter.features() & wanted;
     let mut limits = adapter.limits();
-    limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(most);
+    limits.max_storage_buffer_binding_size =
+        limits.max_storage_buffer_binding_size.min(most.binding);
     let info = AdapterInfo {
         name: raw.name.clone(),
         driver: format!("{} {}", raw.driver, raw.driver_info).trim().to_owned(),
@@ -293,6 +316,7 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         groups: Arc::default(),
         profile: Mutex::default(),
         tally: Arc::default(),
+        memory: most.memory,
     };
     Ok(Gpu { inner: Arc::new(inner) })
 }

@@ -106,6 +106,9 @@ pub struct RoundMetrics {
     pub seconds: f64,
     /// Number of Gaussians in the round's scene.
     pub gaussians: u64,
+    /// Most Gaussians, if that is fewer than the options say because the device ran out of memory.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lowered_cap: Option<u64>,
     /// Number of optimiser steps.
     pub steps: u64,
     /// Training steps per second.

@@ -150,6 +150,7 @@ fn measure(
         views: by_view::rows(views, unregistered, &comparisons, &likenesses),
         noise_map: training.noise,
         expected_noise: training.expected_noise,
+        lowered_cap: training.lowered_cap,
         kernels: training.kernels,
         shake_px: training.shake_px,
         pose_correction_px: training.pose_correction_px,

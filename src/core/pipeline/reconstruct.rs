@@ -65,6 +65,9 @@ pub struct Training {
     pub cameras: Vec<Camera>,
     /// Mean distance by which the camera corrections moved the middle of the images, px.
     pub pose_correction_px: Option<f64>,
+    /// Most Gaussians, if that is fewer than the options say because the device ran out of memory.
+    #[serde(default)]
+    pub lowered_cap: Option<u64>,
 }
 
 impl Training {
@@ -128,10 +131,12 @@ pub fn reconstruct(
     };
     let mut is_trained = false;
     let make = |context: &mut Context<'_>| {
-        let config = train_config(&data, depends_on.options());
+        let mut config = train_config(&data, depends_on.options());
+        let asked = config.cap;
         let start = train_start(context, &data, &config, depends_on)?;
-        let trained = train(context, device, &mut data, start, &config, depends_on)?;
-        let scene = with_cameras(context, device, &mut data, trained, &config)?;
+        let trained = train(context, device, &mut data, start, &mut config, depends_on)?;
+        let mut scene = with_cameras(context, device, &mut data, trained, &config)?;
+        scene.training.lowered_cap = (config.cap < asked).then_some(config.cap as u64);
         context.workspace.make_folder(folder.root())?;
         ply::write(&scene.gaussians, normalisation, &scene_file)?;
         let in_world = |camera: &Camera| normalisation.in_world(camera);
@@ -220,15 +225,18 @@ fn train(
     device: &Device,
     data: &mut TrainingData<'_>,
     start: TrainStart,
-    config: &TrainConfig,
+    config: &mut TrainConfig,
     depends_on: &Dependencies,
 ) -> Result<Trained, PipelineError> {
+    if let TrainStart::Resume(checkpoint) = &start {
+        config.cap = config.cap.min(checkpoint.cap as usize);
+    }
     let number = data.round.number;
     let views = training_views(data, Split::Train);
     let cancel = context.cancel;
     let work = context.workspace.folder().work();
     let picture = work.live_picture();
-    let mut watch = Watch::new(&watched(data), config.steps);
+    let (watched, steps) = (watched(data), config.steps);
     // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
@@ -252,18 +260,27 @@ fn train(
         }
     };
     let mut show = |seen: Seen| {
-        let event = training_seen(number, config.steps, seen);
+        let event = training_seen(number, steps, seen);
         shared.borrow_mut().sink.event(&event);
     };
-    let mut look = |look: &mut Look<'_>| watch.look(look, &mut shared.borrow_mut());
-    let mut hooks = TrainHooks {
-        cancel,
-        progress: &mut progress,
-        checkpoint: Some(&mut keep),
-        seen: Some(&mut show),
-        look: Some(&mut look),
+    let mut attempt = |start: TrainStart, config: &TrainConfig| {
+        let mut watch = Watch::new(&watched, steps);
+        let mut look = |look: &mut Look<'_>| watch.look(look, &mut shared.borrow_mut());
+        let mut hooks = TrainHooks {
+            cancel,
+            progress: &mut progress,
+            checkpoint: Some(&mut keep),
+            seen: Some(&mut show),
+            look: Some(&mut look),
+        };
+        reconstruct::train(device, &views, start, config, &mut hooks)
     };
-    let trained = reconstruct::train(device, &views, start, config, &mut hooks);
+    let mut resume = |why: String| {
+        let context = &mut *shared.borrow_mut();
+        context.sink.warn("memory", format!("round {number}: {why}"));
+        checkpoint::read(context, number, depends_on)
+    };
+    let trained = reconstruct::within_memory(device, start, config, &mut attempt, &mut resume);
     // The live picture is only for a scene in training.
     let removed = context.workspace.remove(&picture);
     let trained = trained?;
@@ -329,6 +346,7 @@ fn with_cameras(
         shake_px: trained.shake_px,
         cameras,
         pose_correction_px,
+        lowered_cap: None,
     };
     Ok(TrainedScene { gaussians: trained.gaussians, training })
 }

@@ -7,7 +7,7 @@ use super::training::TrainingState;
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 9;
+const VERSION: u32 = 10;
 
 /// Number of arrays in a checkpoint.
 const ARRAYS: usize = 7;
@@ -29,6 +29,8 @@ pub struct Checkpoint {
     pub step: u32,
     /// Gaussians at the start of the round.
     pub start_count: u32,
+    /// Most Gaussians: fewer than asked for once the device ran out of memory.
+    pub cap: u64,
     /// Wall seconds taken so far.
     pub seconds: f64,
     /// The scene in training.
@@ -50,6 +52,7 @@ struct Header {
     sh_degree: u32,
     intersections: u32,
     non_finite: u32,
+    cap: u64,
     seconds: f64,
     lengths: [u64; ARRAYS],
     stamp: [u8; HASH],
@@ -70,6 +73,7 @@ impl Checkpoint {
             sh_degree: self.state.sh_degree,
             intersections: self.state.intersections,
             non_finite: self.state.non_finite,
+            cap: self.cap,
             seconds: self.seconds,
             lengths: arrays.map(|a| a.len() as u64),
             stamp: stamp(inputs),
@@ -126,6 +130,7 @@ impl Checkpoint {
             fingerprint: header.fingerprint,
             step: header.step,
             start_count: header.start_count,
+            cap: header.cap,
             seconds: header.seconds,
             state,
             shake,
@@ -188,6 +193,7 @@ mod tests {
             fingerprint: 77,
             step: 120,
             start_count: 2,
+            cap: 3,
             seconds: 7.5,
             state: TrainingState {
                 sh_degree: 1,
@@ -224,7 +230,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 10"));
+        assert!(refused(&newer).starts_with("version 11"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let mut odd = checkpoint();
         odd.state.sh_degree = 2;

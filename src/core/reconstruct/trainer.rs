@@ -219,10 +219,9 @@ impl<'a> Trainer<'a> {
 #[cfg(test)]
 impl Trainer<'_> {
     /// Trains to the first synchronisation at or after `step` and returns its checkpoint.
-    pub(super) fn frozen_at(mut self, step: u32) -> super::Checkpoint {
+    pub(super) fn frozen_at(self, step: u32) -> super::Checkpoint {
         let mut frozen = None;
         let cancel = crate::cancel::CancelToken::new();
-        self.checkpoint_every = Duration::ZERO;
         let mut keep = |checkpoint: &super::Checkpoint| {
             if checkpoint.step >= step {
                 frozen.get_or_insert_with(|| checkpoint.clone());
@@ -235,7 +234,7 @@ impl Trainer<'_> {
             seen: None,
             look: None,
         };
-        self.run(&mut hooks).expect("trains");
+        self.often_kept().run(&mut hooks).expect("trains");
         frozen.expect("a checkpoint after the step")
     }
 
@@ -279,6 +278,11 @@ impl Trainer<'_> {
         };
         self.train_to(last, &mut hooks).expect("trains");
         self.idle
+    }
+
+    /// The trainer with a checkpoint whenever nothing is in flight.
+    pub(super) fn often_kept(self) -> Self {
+        Self { checkpoint_every: Duration::ZERO, ..self }
     }
 
     /// The trainer with room for this number of intersections.

@@ -40,6 +40,7 @@ pub fn metrics(round: u32, names: &[String], plan: Option<&String>) -> RoundMetr
         noise_ceiling_db: 30.0,
         noise_map: None,
         expected_noise: Some(0.03),
+        lowered_cap: None,
         kernels: 3,
         shake_px: Some(0.4),
         pose_correction_px: Some(0.1),

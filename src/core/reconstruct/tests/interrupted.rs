@@ -1,5 +1,7 @@
 //! Tests of rounds that stop, resume, or do not begin.
 
+use std::cell::RefCell;
+
 use super::*;
 
 #[test]
@@ -200,4 +202,86 @@ fn a_round_in_parts_equals_the_whole_round() {
     assert!(stepper.counts().expect("read").intersections > 0);
     cancel.cancel();
     assert!(matches!(stepper.advance(1, &cancel), Err(ReconstructError::Cancelled(_))));
+}
+
+#[test]
+fn a_round_that_runs_out_of_memory_goes_on_with_half_the_gaussians() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let mut config = TrainConfig { resolution_schedule: true, ..config(30, 24_000) };
+    let begin = || TrainStart::Fresh(repeated(&scene, 13_000));
+    let enough = Gpu::new("auto").expect("an adapter");
+    let made = trainer::Trainer::new(&Device::Gpu(enough.clone()), &views, begin(), &config);
+    let at_first = enough.memory().now;
+    drop(made);
+    trained_on(&Device::Gpu(enough.clone()), &views, begin(), &config);
+    // Enough to begin, not enough for images of the full size, which come later.
+    let room = enough.memory().peak - 1;
+    assert!(room > at_first);
+    let device = Device::Gpu(Gpu::memory_at_most("auto", room).expect("an adapter"));
+
+    let (kept, mut starts, mut told) = (RefCell::new(None), Vec::new(), Vec::new());
+    let trained = within_memory(
+        &device,
+        begin(),
+        &mut config,
+        &mut |start, config| {
+            starts.push(match &start {
+                TrainStart::Fresh(gaussians) => (None, gaussians.len(), config.cap),
+                TrainStart::Resume(found) => (Some(found.step), found.state.count(), config.cap),
+            });
+            let mut keep = |checkpoint: &Checkpoint| {
+                kept.replace(Some(checkpoint.clone()));
+            };
+            let mut hooks = TrainHooks {
+                cancel: &CancelToken::new(),
+                progress: &mut |_, _, _| {},
+                checkpoint: Some(&mut keep),
+                seen: None,
+                look: None,
+            };
+            trainer::Trainer::new(&device, &views, start, config)?.often_kept().run(&mut hooks)
+        },
+        &mut |why| {
+            told.push(why);
+            kept.take()
+        },
+    );
+    let trained = trained.expect("trained");
+    let [(None, 13_000, 24_000), (Some(step), 12_000, 12_000)] = starts[..] else {
+        panic!("{starts:?}")
+    };
+    assert!(step > 0, "it goes on from the checkpoint");
+    assert!(trained.gaussians.len() <= 12_000 && trained.steps == 30);
+    let [why] = &told[..] else { panic!("{told:?}") };
+    assert!(why.contains("with at most 12000 Gaussians instead of 24000"), "{why}");
+}
+
+/// That many Gaussians in the places of the scene's.
+fn repeated(scene: &Gaussians, count: usize) -> Gaussians {
+    let indices: Vec<usize> = (0..count).map(|i| i % scene.len()).collect();
+    scene.select(&indices)
+}
+
+#[test]
+fn a_device_too_small_for_few_gaussians_reports_that() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[0.0], [64, 48]);
+    let device = Device::Gpu(Gpu::memory_at_most("auto", 100_000).expect("an adapter"));
+    let mut config = config(10, 40_000);
+    let mut attempts = 0;
+    let outcome = within_memory(
+        &device,
+        TrainStart::Fresh(scene),
+        &mut config,
+        &mut |start, config| {
+            attempts += 1;
+            let made = trainer::Trainer::new(&device, &views, start, config);
+            Err(made.err().expect("there is too little memory"))
+        },
+        &mut |_| None,
+    );
+    let Err(ReconstructError::Gpu(error)) = outcome else { panic!("it trained") };
+    assert!(error.to_string().contains("out of GPU memory"), "{error}");
+    assert_eq!((attempts, config.cap), (3, 10_000));
 }

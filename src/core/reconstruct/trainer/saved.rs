@@ -2,10 +2,10 @@
 
 use super::Trainer;
 use crate::noise::StateError;
-use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::observed::Observed;
 use crate::reconstruct::training::TrainingState;
+use crate::reconstruct::{ReconstructError, TrainConfig};
 
 impl Trainer<'_> {
     /// The state before step `next`, with nothing in flight.
@@ -14,6 +14,7 @@ impl Trainer<'_> {
             fingerprint: self.fingerprint(),
             step: self.next,
             start_count: self.start_count as u32,
+            cap: self.config.cap as u64,
             seconds: self.seconds(),
             state: self.scene.save()?,
             shake: self.model.save_kernels(),
@@ -44,10 +45,11 @@ impl Trainer<'_> {
         })
     }
 
-    /// Hash of config and views.
+    /// Hash of config and views, but not of the cap, which may be lowered in mid training.
     fn fingerprint(&self) -> u64 {
         let mut hasher = blake3::Hasher::new();
-        hasher.update(format!("{:?}", self.config).as_bytes());
+        let config = TrainConfig { cap: 0, ..self.config.clone() };
+        hasher.update(format!("{config:?}").as_bytes());
         for view in self.model.views.iter().map(Observed::given) {
             hasher.update(format!("{} {:?}", view.name, view.camera).as_bytes());
         }

@@ -57,6 +57,26 @@ impl TrainingState {
         self.sh_degree <= 3 && expected == found
     }
 
+    /// The state with only the Gaussians at `indices`, in that order, and as many fewer slots of
+    /// intersections.
+    #[must_use]
+    pub fn select(&self, indices: &[usize]) -> Self {
+        let rows = |values: &[f32], length: usize| {
+            indices.iter().flat_map(|&i| &values[i * length..][..length]).copied().collect()
+        };
+        let row = sh_row(self.sh_degree);
+        let share = indices.len() as f64 / self.count().max(1) as f64;
+        Self {
+            geometry: rows(&self.geometry, GEOMETRY_ROW),
+            geometry_moments: rows(&self.geometry_moments, 2 * GEOMETRY_ROW),
+            sh: rows(&self.sh, row),
+            sh_moments: rows(&self.sh_moments, 2 * row),
+            noise: self.noise.clone(),
+            intersections: (f64::from(self.intersections) * share) as u32,
+            ..*self
+        }
+    }
+
     /// The state after a densification, with the moments of each descendant's geometry. A
     /// descendant inherits the harmonics of its source, and their moments unless it is new.
     #[must_use]
