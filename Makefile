@@ -15,7 +15,7 @@ export RUST_TEST_THREADS ?= $(shell expr 2 \* $$(nproc))
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-nightly test-browser test-training
-.PHONY: test-openapi test-types test-api test-peers test-colours tidy check check-systems lint demo bench gpu-pack gpu-check
+.PHONY: test-openapi test-types test-api test-peers test-colours test-swiftshader tidy check check-systems lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -99,6 +99,11 @@ test-peers: setup onnxruntime matcher $(if $(FLED),,build) ## scene.ply and expo
 test-colours: $(if $(FLED),,build) ## the colours of photographs and raw files judged by LittleCMS and LibRaw, under .peers/
 	@$(PYTHON) tools/environment.py .peers/colours tools/colours-requirements.txt
 	.peers/colours/bin/python tools/colours.py $(if $(FLED),--fled $(FLED))
+
+# FLED=PROGRAM runs the job.
+test-swiftshader: setup $(if $(FLED),,build) ## the kernels for GPUs, and a job, on a driver with few resources, Chromium's SwiftShader
+	@tools/setup.sh $(if $(SWIFTSHADER),,chromium)
+	@FLED=$(FLED) tools/check_swiftshader.sh
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
 	$(CARGO) test --release --locked -p fled-tidy
