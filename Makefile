@@ -43,7 +43,7 @@ test: test-openapi test-types setup onnxruntime matcher test-python ## every tes
 # What waits long or needs a machine for itself: random kills, outages, throughput, memory, a film of
 # the page, and a second real capture for COLMAP.
 test-nightly: setup onnxruntime matcher ## the tests that CI leaves out
-	@tools/setup.sh postgresql faketime nginx caddy $(if $(CHROMIUM),,chromium)
+	@tools/setup.sh postgresql faketime nginx caddy $(if $(CHROMIUM),,chromium-headless-shell)
 	$(CARGO) test --release --locked --workspace --no-run
 	@$(MAKE) --no-print-directory test-widths
 	@$(MAKE) --no-print-directory test-colours
@@ -75,9 +75,10 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	    splat:: || exit 1; done
 
 # FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
+# SCREENSHOTS=1 saves pictures of all pages, to look at, and not only of those that fail.
 # A browser on a busy machine is late at times: a file that fails runs once more, alone, and fails when it fails again.
 test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
-	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium)
+	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium-headless-shell)
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
 	    export FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) && \

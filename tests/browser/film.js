@@ -5,7 +5,7 @@ import { spawn } from "node:child_process";
 import { once } from "node:events";
 import { join } from "node:path";
 
-import { SCREENSHOTS, picture } from "./browser.js";
+import { SCREENSHOTS, screenshot } from "./browser.js";
 
 /** Frames per second. */
 const RATE = 10;
@@ -77,7 +77,7 @@ export class Film {
   async still(name) {
     this.#take(await this.page.screenshot({ type: "jpeg", quality: 90 }));
     this.#advance(STILL);
-    await picture(this.page, name);
+    await screenshot(this.page, name);
   }
 
   /** Ends the film; returns its length in seconds. */
