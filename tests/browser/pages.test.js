@@ -1,5 +1,5 @@
 // Every page in every state, at phone and desktop width, light and dark, by keyboard. The jobs are
-// played: see `Server.played`. Screenshots are saved to screenshots/.
+// played: see `Server.played`. SCREENSHOTS=1 saves them to screenshots/.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -103,13 +103,14 @@ const SHOWN = {
 for (const name of Object.keys(STATES)) {
   both(`the page "${name}" fits, light and dark, and logs nothing to the console`, async (width) => {
     const address = await STATES[name]();
-    for (const colorScheme of ["dark", "light"]) {
-      await stand.visit(`page-${name}-${colorScheme}`, address, async (page, faults) => {
-        const shown = SHOWN[name] ?? (() => page.locator("h1, [role=alert]").first().waitFor());
-        await shown(page);
-        if (name.startsWith("unknown-") && name !== "unknown-page") provoked(faults, 404);
-      }, width, { colorScheme });
-    }
+    await stand.visit(`page-${name}-light`, address, async (page, faults) => {
+      const shown = SHOWN[name] ?? (() => page.locator("h1, [role=alert]").first().waitFor());
+      await shown(page);
+      if (name.startsWith("unknown-") && name !== "unknown-page") provoked(faults, 404);
+      await stand.fits(page, width);
+      await picture(page, `page-${name}-dark-${width}`);
+      await page.emulateMedia({ colorScheme: "light" });
+    }, width, { colorScheme: "dark" });
   });
 }
 

@@ -65,14 +65,19 @@ export class Stand {
     return id;
   }
 
-  /** Visits a page; at the end nothing may be wider than it and no box empty. */
+  /** Visits a page, which must also fit at the end. */
   visit(name, hash, judge, width = "desktop", further = {}) {
     const judged = async (page, faults) => {
       await judge(page, faults);
-      assert.deepEqual(await overflowing(page), [], `wider than ${WIDTHS[width].width} px`);
-      assert.deepEqual(await emptyBoxes(page), [], "boxes with nothing but a title");
+      await this.fits(page, width);
     };
     return this.browser.visit(`${name}-${width}`, hash, judged, WIDTHS[width], further);
+  }
+
+  /** Checks that nothing is wider than the page and no box empty. */
+  async fits(page, width) {
+    assert.deepEqual(await overflowing(page), [], `wider than ${WIDTHS[width].width} px`);
+    assert.deepEqual(await emptyBoxes(page), [], "boxes with nothing but a title");
   }
 }
 
