@@ -15,12 +15,11 @@ let browser;
 before(async () => {
   stand = await Stand.start();
   proxy = await Proxy.start(stand.server.base, "/fled");
-  browser = await Browser.start(proxy.base);
+  browser = new Browser(proxy.base, stand.browser.chromium);
   browser.isReady = true;
 });
 
 after(async () => {
-  await browser?.stop();
   await proxy?.stop();
   await stand?.stop();
 });

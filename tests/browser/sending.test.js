@@ -135,7 +135,7 @@ test("photographs are not sent while there is no room for their job", () =>
 /** Starts a photograph of some megabytes, through a proxy that refuses larger bodies. */
 async function throughProxy(name, largest, judge) {
   const proxy = await Proxy.start(stand.server.base, "", largest);
-  const browser = await Browser.start(proxy.base);
+  const browser = new Browser(proxy.base, stand.browser.chromium);
   browser.isReady = true;
   try {
     await browser.visit(name, "", async (page, faults) => {
@@ -147,7 +147,6 @@ async function throughProxy(name, largest, judge) {
       provoked(faults, "4(13|22)");
     });
   } finally {
-    await browser.stop();
     await proxy.stop();
   }
 }

@@ -1,7 +1,7 @@
 // Runs the real program as a server on a free port, with a temporary folder.
 
 import { execFileSync, spawn } from "node:child_process";
-import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { cpSync, existsSync, mkdtempSync, readdirSync, readFileSync, renameSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join, relative } from "node:path";
 import { createInterface } from "node:readline";
@@ -132,8 +132,7 @@ export class Server {
   /** A folder of small dark photographs with poses and ground truth. */
   capture(size = "96x64", views = 8, room = "0", layout = "lush") {
     const folder = join(this.folder, "capture");
-    const options = ["--views", String(views), "--size", size, "--room", room, "--layout", layout];
-    execFileSync(this.program, ["synth", folder, ...options], { stdio: "ignore" });
+    cpSync(photographs(this.program, { size, views, room, layout }), folder, { recursive: true });
     return folder;
   }
 
@@ -155,6 +154,13 @@ export class Server {
     }
     const { id } = await this.#json("/v1/jobs", { method: "POST", body });
     return id;
+  }
+
+  /** Makes the recorded job of the sample, which has finished at once; returns its id. */
+  async sample() {
+    const { id } = await this.#json("/v1/captures/sample", { method: "POST" });
+    const { jobs } = await this.#json(`/v1/jobs?capture_id=${id}`);
+    return jobs[0].id;
   }
 
   /** The job as in the API. */
@@ -192,6 +198,25 @@ export class Server {
     if (!response.ok) throw new Error(`${path}: ${response.status} ${text}`);
     return JSON.parse(text);
   }
+}
+
+/**
+ * Photographs for all files of tests: to render them takes seconds. `npm ci`, which begins each
+ * `make test-browser`, removes them.
+ */
+function photographs(program, choices) {
+  const whole = join(import.meta.dirname, "node_modules", ".photographs", Object.values(choices).join("-"));
+  if (existsSync(whole)) return whole;
+  const part = `${whole}.${process.pid}`;
+  const options = Object.entries(choices).flatMap(([name, value]) => [`--${name}`, String(value)]);
+  execFileSync(program, ["synth", part, ...options], { stdio: "ignore" });
+  try {
+    renameSync(part, whole);
+  } catch {
+    // Another file of tests was faster.
+    rmSync(part, { recursive: true });
+  }
+  return whole;
 }
 
 /** Every file below a folder. */

@@ -15,8 +15,7 @@ let id;
 
 before(async () => {
   server = await Server.start(process.env.FLED);
-  id = await server.submit(server.capture(), "for others");
-  await server.reached(id, "succeeded");
+  id = await server.sample();
   owner = await Browser.start(server.base);
 });
 
@@ -86,7 +85,7 @@ test("a link opens only its job, until it is revoked", async () => {
     await page.getByText("not used yet").waitFor();
     assert.deepEqual(await overflowing(page), []);
     await owner.visit("shared", link.slice(server.base.length + 1), async (visitor) => {
-      await visitor.getByRole("heading", { name: "for others" }).waitFor();
+      await visitor.getByRole("heading", { name: "Sample: a dark room" }).waitFor();
       await visitor.getByRole("heading", { name: "Files", exact: true }).waitFor();
       assert.ok(!visitor.url().includes("fled_"), "the secret leaves the address");
       for (const name of ["Delete", "Try again", "Create link"]) assert.equal(await button(visitor, name).count(), 0, name);
@@ -96,7 +95,7 @@ test("a link opens only its job, until it is revoked", async () => {
       await visitor.locator(".frame[aria-busy=false]").waitFor();
       // Every address shows this job.
       await visitor.goto(`${server.base}/#/`);
-      await visitor.getByRole("heading", { name: "for others" }).waitFor();
+      await visitor.getByRole("heading", { name: "Sample: a dark room" }).waitFor();
       // The browser loads a strip of pictures once it comes near.
       await visitor.getByRole("group", { name: "Pictures of the view" }).scrollIntoViewIfNeeded();
       await until("its pictures are there", () => loaded(visitor.locator("img[src]")));
