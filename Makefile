@@ -82,7 +82,7 @@ test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
 	    export FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) && \
-	    { node --test --test-concurrency 2 --test-reporter tap --test-reporter-destination stdout \
+	    { node --test --test-concurrency 3 --test-reporter tap --test-reporter-destination stdout \
 	        --test-reporter ./failed.js --test-reporter-destination failed.txt *.test.js || \
 	    { sort -u -o failed.txt failed.txt && echo "== failed, once more and alone:" && cat failed.txt && \
 	      xargs node --test --test-concurrency 1 <failed.txt; }; }
