@@ -103,7 +103,7 @@ test-colours: $(if $(FLED),,build) ## the colours of photographs and raw files j
 
 # FLED=PROGRAM runs the job.
 test-swiftshader: setup $(if $(FLED),,build) ## the kernels for GPUs, and a job, on a driver with few resources, Chromium's SwiftShader
-	@tools/setup.sh $(if $(SWIFTSHADER),,chromium)
+	@tools/setup.sh $(if $(SWIFTSHADER),,chromium-headless-shell)
 	@FLED=$(FLED) tools/check_swiftshader.sh
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
