@@ -1,7 +1,7 @@
 // Compares two to six jobs, named in the address.
 
 import { beside } from "./beside.js";
-import { count, duration, folding, h, nothing, plain, prose, refill, section, show } from "../lib/dom.js";
+import { count, duration, folding, h, nothing, prose, refill, section, show } from "../lib/dom.js";
 import { differences, sorted } from "./differences.js";
 import {
   called,
@@ -262,8 +262,7 @@ function warningList(entries) {
   const found = new Map();
   for (const one of entries) {
     for (const warning of one.job?.warnings ?? []) {
-      const text = `${plain(warning.code)}: ${warning.message}`;
-      found.set(text, [...(found.get(text) ?? []), one]);
+      found.set(warning.message, [...(found.get(warning.message) ?? []), one]);
     }
   }
   if (found.size === 0) return null;

@@ -1,6 +1,6 @@
 // One job, live.
 
-import { address, api, count, fold, folding, h, nothing, plain, prose, section, show, size } from "../lib/dom.js";
+import { address, api, count, fold, folding, h, nothing, prose, section, show, size } from "../lib/dom.js";
 import { contents } from "../lib/contents.js";
 import { byView } from "./by_view.js";
 import { exportList } from "./exports.js";
@@ -76,7 +76,7 @@ export function jobPage(main, who, id) {
       head.update(job);
       problem.textContent = "";
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
-        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: `, prose(warning.message)))));
+        job.warnings.map((warning) => h("li", {}, prose(warning.message)))));
       show(times, job.stages.length > 0 && stageBars(job));
       log?.follow(!isOver(job));
       if (isOver(job)) {
