@@ -175,7 +175,7 @@ async function filmed(page, film) {
   const player = section.locator("video");
   await film.fast(() => player.waitFor({ timeout: LONG }));
   assert.deepEqual(await plays(player), { error: undefined, wide: 640, seconds: 4 });
-  const file = await fetch(server.base + (await player.getAttribute("src")));
+  const file = await fetch(await player.evaluate((one) => one.src));
   const bytes = Buffer.from(await file.arrayBuffer());
   assert.equal(bytes.subarray(4, 8).toString(), "ftyp");
   assert.ok(bytes.length > 20_000, `${bytes.length} bytes`);
