@@ -165,15 +165,19 @@ impl Export {
         matches!(self, Self::MeshPly | Self::MeshGltf)
     }
 
-    /// Refuses what does not suit this format.
-    fn check(self, round: Option<u32>, trim: Trim) -> Result<(), ExportError> {
-        let is_of_views = matches!(
+    /// Whether it holds the scene or a mesh of it, so that it can be trimmed.
+    pub fn has_scene(self) -> bool {
+        !matches!(
             self,
             Self::Restored | Self::Linear | Self::Colmap | Self::Transforms | Self::InriaCameras
-        );
+        )
+    }
+
+    /// Refuses what does not suit this format.
+    fn check(self, round: Option<u32>, trim: Trim) -> Result<(), ExportError> {
         let is_mesh = self.is_mesh();
         Err(match self {
-            _ if is_of_views && !trim.is_nothing() => ExportError::NotTrimmed(self.name()),
+            _ if !self.has_scene() && !trim.is_nothing() => ExportError::NotTrimmed(self.name()),
             _ if is_mesh && trim.sh_degree.is_some() => ExportError::NoHarmonics(self.name()),
             _ if !is_mesh && trim.mesh != Detail::default() => ExportError::NoMesh(self.name()),
             Self::Linear if round.is_some() => ExportError::OnlyDelivered(self.name()),

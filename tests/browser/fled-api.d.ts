@@ -6,6 +6,7 @@ export type Artifacts = Schemas["Artifacts"];
 export type Assessment = Schemas["Assessment"];
 export type Capture = Schemas["Capture"];
 export type Captures = Schemas["Captures"];
+export type Exports = Schemas["Exports"];
 export type Job = Schemas["Job"];
 export type JobError = Schemas["JobError"];
 export type Jobs = Schemas["Jobs"];

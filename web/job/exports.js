@@ -1,15 +1,53 @@
 // A finished job's result in formats for other programs.
 
 import { api, count, h, size } from "../lib/dom.js";
+import { cropText } from "../lib/shaping.js";
 
-/** The export formats of the result, each with its purpose; `null` if there is none. */
-export async function exportList(base) {
+/**
+ * The export formats of the result, each with its purpose, as the user has shaped them in the
+ * scene; `null` if there is none.
+ */
+export async function exportList(base, shaping) {
+  /** @type {import("fled-api").Exports | null} */
   const found = await api(`${base}/exports`).catch(() => null);
   if (!found?.exports.length) return null;
-  const list = h("ul", { class: "exports bare" }, found.exports.map(({ name, about, bytes }) => h("li", { class: "row" },
-    h("a", { class: "button", href: `${base}/exports/${name}`, download: name }, name),
-    // It is made while being sent.
-    h("span", { class: "soft" }, `about ${size(bytes)}`),
-    h("span", { class: "about" }, about))));
-  return Object.assign(list, { gist: count(found.exports.length, "format") });
+  const rows = found.exports.map((one) => row(base, one));
+  const notice = h("div", { class: "notices shaped", role: "status" });
+  const root = h("div", {}, notice, h("ul", { class: "exports bare" }, rows.map((one) => one.root)));
+  const show = () => {
+    notice.replaceChildren(...notices(shaping));
+    notice.hidden = notice.childElementCount === 0;
+    for (const one of rows) one.show(shaping.now);
+  };
+  show();
+  shaping.change({ isOffered: true });
+  // A newer list takes the place of this one.
+  const deaf = shaping.heard(() => (root.isConnected ? show() : deaf()));
+  return Object.assign(root, { gist: count(found.exports.length, "format") });
+}
+
+function row(base, { name, about, bytes, has_scene: hasScene }) {
+  const link = h("a", { class: "button", download: name }, name);
+  const weight = h("span", { class: "soft" });
+  return {
+    root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about)),
+    show({ crop }) {
+      const isCropped = hasScene && crop !== null;
+      const query = new URLSearchParams(isCropped ? { crop: cropText(crop) } : {});
+      link.href = `${base}/exports/${name}${query.size > 0 ? `?${query}` : ""}`;
+      // It is made while being sent.
+      weight.textContent = `${isCropped ? "at most" : "about"} ${size(bytes)}`;
+    },
+  };
+}
+
+/** What applies to all scenes and meshes, each with a button that drops it. */
+function notices(shaping) {
+  const { crop } = shaping.now;
+  const drop = (words, some) =>
+    h("button", { type: "button", onclick: () => shaping.change(some) }, words);
+  return [
+    crop && h("p", { class: "row" }, `Scenes and meshes are cropped to the ${crop.shape} drawn in the 3D view.`,
+      drop("Export everything", { crop: null })),
+  ].filter(Boolean);
 }

@@ -18,6 +18,7 @@ import { scenePanel } from "../scene/panel.js";
 import { shares } from "./share.js";
 import { summary } from "./summary.js";
 import { notable } from "./verdict.js";
+import { newShaping } from "../lib/shaping.js";
 import { isOver } from "../lib/state.js";
 import { SEEN, trainingView } from "./training.js";
 import { hasWebGl } from "../lib/webgl.js";
@@ -46,7 +47,8 @@ export function jobPage(main, who, id) {
   const exported = folding("Export");
   const views = comparison(id);
   const scores = byView(views.open);
-  const scene = scenePanel(id);
+  const shaping = newShaping();
+  const scene = scenePanel(id, {}, shaping);
   // If the browser draws the scene, the server need not turn it.
   const novel = hasWebGl() ? null : novelView(id);
   // If the server needs no tokens, a link has no purpose.
@@ -155,7 +157,7 @@ export function jobPage(main, who, id) {
     if (gone) return;
     head.sum(summary(job, report, artifacts, given, share?.root, views.open));
     filmed.open(cameras ?? []);
-    show(exported, await exportList(base));
+    show(exported, await exportList(base, shaping));
   }
 
   function showFiles(artifacts) {

@@ -50,6 +50,13 @@ export function fitted(k, width, height) {
   };
 }
 
+/** The ray through a pixel of `k`: `{ eye, direction, pixel }`, the angle of a pixel in radians. */
+export function rayOf({ axes, eye }, { fx, fy, cx, cy }, [x, y]) {
+  const slopes = [(x - cx) / fx, (y - cy) / fy, 1];
+  const direction = slopes.reduce((sum, slope, k) => along(sum, axes[k], slope), [0, 0, 0]);
+  return { eye, direction: unit(direction), pixel: 1 / fx };
+}
+
 /** The vertical field of view of `k`, radians. */
 export const angleOf = (k) => 2 * Math.atan(k.height / (2 * k.fy));
 

@@ -27,8 +27,9 @@ const isMoving = (code) => [WALKS, RISES, LOOKS, NEARS].some((keys) => code in k
 
 /**
  * Listens on `frame`. `camera` has `pose`, `surroundings`, `focal()` in CSS px, `speed()`,
- * `moved(pose)` for immediate movements, `wake()` for held keys, and `clicked(x, y)`. While the
- * frame has no focus, the wheel and a vertical swipe scroll the page.
+ * `moved(pose)` for immediate movements, `wake()` for held keys, `clicked(x, y)`, `entered()` for
+ * Enter, and `escaped()`, which says whether it used Escape. While the frame has no focus, the
+ * wheel and a vertical swipe scroll the page.
  */
 export function controls(frame, camera) {
   const pointers = new Map();
@@ -86,7 +87,8 @@ export function controls(frame, camera) {
   }, { passive: false });
   on("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === "Escape") frame.blur();
+    if (event.key === "Escape" && !camera.escaped()) frame.blur();
+    if (event.key === "Enter" && event.target === frame) camera.entered();
     if (!isMoving(event.code)) return;
     event.preventDefault();
     keys.add(event.code);

@@ -63,9 +63,9 @@ class Renderer {
 
   /**
    * Draws the scene from `pose`, with intrinsics `k` of the canvas's size, at `part` of its pixels
-   * a side, `ev` stops brighter.
+   * a side, `ev` stops brighter; with a `crop` as drawn, only what is inside.
    */
-  draw(pose, k, part = 1, ev = 0) {
+  draw(pose, k, part = 1, ev = 0, crop = null) {
     const gl = this.#gl;
     const [width, height] = [k.width, k.height].map((side) => Math.max(1, Math.round(side * part)));
     const target = this.#target?.bind(width, height) ? this.#target : null;
@@ -75,11 +75,11 @@ class Renderer {
     gl.viewport(0, 0, ...size);
     gl.clearColor(0, 0, 0, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    if (this.#scene && this.#count > 0) this.#blend(pose, k, size);
+    if (this.#scene && this.#count > 0) this.#blend(pose, k, size, crop);
     if (target) this.#show(k, ev);
   }
 
-  #blend(pose, k, [width, height]) {
+  #blend(pose, k, [width, height], crop) {
     const gl = this.#gl;
     const { program, textures } = this.#scene;
     const at = program.use();
@@ -90,6 +90,9 @@ class Renderer {
     gl.uniform2f(at.focal, k.fx * x, k.fy * y);
     gl.uniform2f(at.centre, k.cx * x, k.cy * y);
     gl.uniform2f(at.size, width, height);
+    gl.uniform1i(at.crop_shape, crop ? (crop.isBox ? 2 : 1) : 0);
+    gl.uniform3fv(at.crop_centre, crop?.centre ?? [0, 0, 0]);
+    gl.uniform3fv(at.crop_half, crop?.half ?? [1, 1, 1]);
     gl.uniform2i(at.in_row, textures[0].inRow, textures[1].inRow);
     ["geometry", "harmonics"].forEach((name, unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);

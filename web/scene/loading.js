@@ -1,4 +1,4 @@
-// A scene in its worker, which fetches and reads it, and sorts it for each view.
+// A scene in its worker, which fetches and reads it, sorts it for each view, and finds surfaces.
 
 import { NEAR } from "./gl.js";
 import { SceneError } from "./ply.js";
@@ -6,16 +6,19 @@ import { SceneError } from "./ply.js";
 /**
  * Fetches the scene at `url`, or with `isPoints` the sparse points of poses, to be drawn in
  * `world`. `progress(received, total)` is in bytes; `total` may be `null`. Returns
- * `{ whole, sort, end }`: `whole` is a promise of the scene, `sort(row)` one of the order for a
- * third row of world to camera.
+ * `{ whole, sort, meet, end }`: `whole` is a promise of the scene, `sort(row)` one of the order for
+ * a third row of world to camera, `meet(ray)` one of the surface that a ray meets (`surfaceAt`).
  */
 export function loading({ url, isPoints, headers }, world, progress) {
   const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   let ordered = null;
+  // The worker answers in order.
+  const waiting = [];
   const whole = new Promise((resolve, reject) => {
     worker.onmessage = ({ data }) => {
       if (data.scene) resolve(data.scene);
       else if (data.order) ordered(data.order);
+      else if ("met" in data) waiting.shift()(data.met);
       else if (data.problem) reject(new SceneError(data.problem));
       else progress(data.received, data.total);
     };
@@ -30,6 +33,10 @@ export function loading({ url, isPoints, headers }, world, progress) {
     sort: (row) => new Promise((resolve) => {
       ordered = resolve;
       worker.postMessage({ view: row, near: NEAR });
+    }),
+    meet: (ray) => new Promise((resolve) => {
+      waiting.push(resolve);
+      worker.postMessage({ ray: { ...ray, near: NEAR } });
     }),
     end: () => worker.terminate(),
   };

@@ -5,9 +5,9 @@ import { address, h, size } from "../lib/dom.js";
 
 /**
  * The section of a page for the scene of `job`: `{ root, update, leave }`. `headers` go with each
- * request if there is no cookie.
+ * request if there is no cookie. `shaping` is what the user draws for exports, where there are any.
  */
-export function scenePanel(job, headers = {}) {
+export function scenePanel(job, headers = {}, shaping = null) {
   const image = h("img", { alt: "", draggable: false });
   const bytes = h("span", { class: "soft" });
   const words = h("span", { class: "words" });
@@ -29,7 +29,7 @@ export function scenePanel(job, headers = {}) {
     try {
       const { openScene } = await import("./view.js");
       if (isGone) return;
-      view = await openScene(place, { job, headers, ...facts, ended: close });
+      view = await openScene(place, { job, headers, ...facts, shaping, ended: close });
       if (isGone) leave();
     } catch (error) {
       close(error.message);

@@ -15,6 +15,9 @@ uniform ivec2 in_row;
 uniform vec4 row_x, row_y, row_z;
 uniform vec3 position;
 uniform vec2 focal, centre, size;
+// Only Gaussians with their centres inside are drawn: 0 everywhere, 1 in a sphere, 2 in a box.
+uniform int crop_shape;
+uniform vec3 crop_centre, crop_half;
 in uint index;
 // Where a corner lies in the Gaussian's own unit, and how it is coloured.
 out vec2 offset;
@@ -69,6 +72,9 @@ void main() {
   vec4 b = texel(geometry, in_row.x, 3, 1);
   vec4 c = texel(geometry, in_row.x, 3, 2);
   vec3 mean = a.xyz;
+  vec3 away = abs(mean - crop_centre) / crop_half;
+  if (crop_shape == 1 && !(dot(away, away) <= 1.0)) return;
+  if (crop_shape == 2 && !all(lessThanEqual(away, vec3(1.0)))) return;
   mat3 sigma = mat3(b.x, b.y, b.z, b.y, b.w, c.x, b.z, c.x, c.y);
   vec3 point = vec3(dot(row_x.xyz, mean) + row_x.w, dot(row_y.xyz, mean) + row_y.w,
     dot(row_z.xyz, mean) + row_z.w);

@@ -1,14 +1,16 @@
 // The row of buttons below the scene.
 
 import { h } from "../lib/dom.js";
+import { slider } from "./slider.js";
 
 /**
  * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` (null if unsupported),
  * `lens(degrees)` with null for the camera's own, `round(scene)`, `picture`, `close`; `stage` is
- * the element for full screen. `isBest` says whether `reset` goes to the best view. Returns
+ * the element for full screen. `isBest` says whether `reset` goes to the best view. `further` are
+ * `{ choices, rows }` of further tools. Returns
  * `{ root, at(index), isOn(), ev(), lens(degrees), speed(), scenes(list, current), say(words) }`.
  */
-export function sceneTools(cameras, stage, isBest, does) {
+export function sceneTools(cameras, stage, isBest, further, does) {
   const press = (text, onclick, label = text) =>
     h("button", { type: "button", "aria-label": label, title: label, onclick }, text);
   const jump = () => does.jump(Number(choice.value));
@@ -39,11 +41,11 @@ export function sceneTools(cameras, stage, isBest, does) {
         press("›", step(1), "Next photograph")),
       isBest ? press("Best view", does.reset, "Back to the best view")
         : press("Reset", does.reset, "Reset to the first view"),
-      h("label", { class: "check" }, lines, "Cameras"), exposure.root,
+      h("label", { class: "check" }, lines, "Cameras"), further.choices, exposure.root,
       lens.root, speed.root, rounds.root,
       h("div", { class: "row push ends" }, picture, full,
         press("Close", does.close, "Close the 3D view"))),
-    words);
+    further.rows, words);
   return {
     root,
     /** The view is at a photograph's camera, or with -1 at none. */
@@ -73,25 +75,6 @@ function wide(stage) {
   if (document.fullscreenElement) document.exitFullscreen();
   // Some frames and settings refuse it; the button then does nothing.
   else stage.requestFullscreen().catch(() => {});
-}
-
-/**
- * A slider with its value as text: `{ root, value(), set(value) }`; a double click resets it to
- * `first`. Calls `changed(value)`, with null for that double click.
- */
-function slider(name, style, { min, max, step, first, words, changed }) {
-  const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), "aria-label": name });
-  const label = h("span", {});
-  const value = () => Number(input.value);
-  const set = (now) => {
-    input.value = String(now);
-    label.textContent = words(value());
-    input.setAttribute("aria-valuetext", label.textContent);
-  };
-  input.addEventListener("input", () => { set(value()); changed?.(value()); });
-  input.addEventListener("dblclick", () => { set(first); changed?.(null); });
-  set(first);
-  return { root: h("label", { class: `check ranged ${style}` }, label, input), value, set };
 }
 
 const signed = (value) => `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;

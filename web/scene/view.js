@@ -1,10 +1,12 @@
 // The 3D view of the scene: a canvas, the controls of its camera, and the buttons below.
 
 import { api, count, h, size } from "../lib/dom.js";
-import { angleOf, between, fitted, matrixOf, neared, poseOf, seenAt, surroundingsOf } from "./camera.js";
+import { angleOf, between, fitted, matrixOf, neared, poseOf, rayOf, seenAt, surroundingsOf } from "./camera.js";
 import { controls } from "./controls.js";
+import { cropTools } from "./crop_tools.js";
 import { frusta } from "./frusta.js";
 import { renderer } from "./gl.js";
+import { NEAR } from "./lines.js";
 import { loading } from "./loading.js";
 import { SceneError } from "./ply.js";
 import { sceneTools } from "./tools.js";
@@ -38,17 +40,22 @@ const NO_WEBGL = "This browser does not support WebGL 2, which the 3D view needs
   + "acceleration in its settings, or use the pictures rendered by the server below.";
 const LOST = "The graphics adapter dropped the picture, as can happen when it is overloaded or the "
   + "machine was asleep. Open the scene again.";
+/** How to pick a point, after what it is for. */
+const PICKING = "click its surface, or turn the view and press Enter to take what is in the middle of the "
+  + "picture. Escape cancels.";
+const NOTHING = "There is no surface at that place";
 
 /**
  * Opens the scene of a job in `place`. `name` is the job's, `scenes` are
  * `{ round, url, isDelivered }`, `first` is the initial one and `start` the name of the initial
- * camera, whose view has the best score if `isBest`. `headers` go with each request.
+ * camera, whose view has the best score if `isBest`. `headers` go with each request. `shaping` is
+ * what the user draws for exports; without it there are no tools for that.
  * `ended(words)` is called when the view closes, with the reason if it closes by itself. Throws a
  * `SceneError` if the browser cannot draw it.
  */
-export async function openScene(place, { job, headers, name, scenes, first, start, isBest, ended }) {
+export async function openScene(place, { job, headers, name, scenes, first, start, isBest, shaping, ended }) {
   const cameras = await api(`v1/jobs/${job}/artifacts/cameras.json`, { headers });
-  const view = new View({ job, headers, name, isBest }, cameras, scenes, ended);
+  const view = new View({ job, headers, name, isBest, shaping }, cameras, scenes, ended);
   place.replaceChildren(view.stage);
   // The canvas, its tools and its hint fit the window; they shall all be in it.
   view.stage.scrollIntoView({ block: "nearest" });
@@ -78,6 +85,8 @@ class View {
   #sorted = "";
   #isSorting = false;
   #isGone = false;
+  #aim = null;
+  #words = "";
 
   constructor(of, cameras, scenes, ended) {
     this.job = of.job;
@@ -94,13 +103,17 @@ class View {
     if (!this.drawer) throw new SceneError(NO_WEBGL);
     this.lines = h("canvas", { class: "lines" });
     this.veil = h("div", { class: "veil", role: "status" });
-    this.thumb = h("p", { class: "thumb" }, h("span", { class: "mouse" }, MOUSE), h("span", { class: "out" }, UNTOUCHED), h("span", { class: "in" }, FINGERS));
+    this.aimed = h("span", { class: "aim" });
+    this.thumb = h("p", { class: "thumb" }, this.aimed, h("span", { class: "mouse" }, MOUSE), h("span", { class: "out" }, UNTOUCHED), h("span", { class: "in" }, FINGERS));
     this.frame = h("div", {
       class: "frame", tabIndex: 0, role: "application",
       "aria-label": "Scene in 3D: arrow keys look around, W A S D walk, Q and E move down and up",
     }, this.canvas, this.lines, this.veil, this.thumb);
     this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
-    this.tools = sceneTools(cameras, this.stage, of.isBest, {
+    this.crop = of.shaping && cropTools(of.shaping, this.surroundings, this.world, this.#ask);
+    this.deaf = of.shaping?.heard(() => this.#shaped());
+    const further = { choices: [this.crop?.choice], rows: [this.crop?.row] };
+    this.tools = sceneTools(cameras, this.stage, of.isBest, further, {
       jump: (index) => this.jump(index),
       reset: () => this.jump(this.start),
       lines: () => this.wake(),
@@ -154,7 +167,8 @@ class View {
       [this.#sorted, this.#isSorting] = [row.join(), false];
       this.scene = scene;
       this.tools.scenes(this.scenes, scene);
-      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? "" : KEYS} ${contentOf(scene, content)}`.trim());
+      this.#words = `${matchMedia("(pointer: coarse)").matches ? "" : KEYS} ${contentOf(scene, content)}`.trim();
+      if (!this.#aim) this.tools.say(this.#words);
       this.veil.textContent = "";
       this.wake();
     } catch (error) {
@@ -225,13 +239,72 @@ class View {
     this.#stand(pose, -1);
   }
 
-  /** For the controls: a click on a camera's lines flies there. */
+  /** For the controls: a click picks a point if one is wanted, or on a camera's lines flies there. */
   clicked(x, y) {
     const scale = this.canvas.width / this.frame.clientWidth;
     /** @type {[number, number]} */
     const place = [x * scale, y * scale];
+    if (this.#aim) { this.#pick(place); return; }
     const index = this.tools.isOn() ? this.frusta.at(this.pose, this.shown, place, scale) : -1;
     if (index >= 0) this.jump(index);
+  }
+
+  /** For the controls: Enter picks what is in the middle. */
+  entered() {
+    if (this.#aim) this.#pick([this.canvas.width / 2, this.canvas.height / 2]);
+  }
+
+  /** For the controls: Escape ends picking. */
+  escaped() {
+    if (!this.#aim) return false;
+    this.#took(null);
+    return true;
+  }
+
+  /**
+   * Asks the user to pick `what`, a point of a surface of the whole scene or, with `isCropped`, of
+   * what is inside the crop. The promise is of a drawn point, or of `null` if it is given up.
+   */
+  #ask = (what, isCropped = false) => new Promise((took) => {
+    this.#aim?.took(null);
+    this.#aim = { took, isCropped, what };
+    this.frame.classList.add("aiming");
+    this.#point(what);
+    this.frame.focus({ preventScroll: true });
+    this.wake();
+  });
+
+  /** Says what is to be picked, in the picture and below it. */
+  #point(words) {
+    this.aimed.textContent = words;
+    this.tools.say(`${words}: ${PICKING}`);
+  }
+
+  /** Looks for the surface at a pixel of the canvas. */
+  async #pick(place) {
+    if (!this.#source) return;
+    const aim = this.#aim;
+    const crop = aim.isCropped ? this.crop.drawn() : null;
+    const point = await this.#source.meet({ ...rayOf(this.pose, this.shown, place), crop });
+    if (this.#isGone || this.#aim !== aim) return;
+    if (point) this.#took(point);
+    else this.#point(`${NOTHING}. ${aim.what}`);
+  }
+
+  #took(point) {
+    const { took } = this.#aim;
+    this.#aim = null;
+    this.frame.classList.remove("aiming");
+    this.tools.say(this.#words);
+    this.wake();
+    took(point);
+  }
+
+  /** The user has drawn something, here or elsewhere. */
+  #shaped() {
+    this.crop.show();
+    if (this.#aim && !this.#aim.isCropped && !this.crop.drawn()) this.#took(null);
+    this.wake();
   }
 
   focal = () => (this.shown.fx * this.frame.clientWidth) / this.canvas.width;
@@ -292,10 +365,16 @@ class View {
   }
 
   #draw(part) {
-    this.drawer.draw(this.pose, this.shown, part, this.tools.ev());
+    // Whoever places a crop sees all of the scene.
+    const crop = this.#aim && !this.#aim.isCropped ? null : this.crop?.drawn();
+    this.drawer.draw(this.pose, this.shown, part, this.tools.ev(), crop);
     const context = this.lines.getContext("2d");
-    this.lines.hidden = !this.tools.isOn();
-    if (!this.lines.hidden) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
+    const { width, height } = this.lines;
+    const near = NEAR * this.surroundings.radius;
+    context.clearRect(0, 0, width, height);
+    if (this.tools.isOn()) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
+    this.crop?.draw(context, this.pose, this.shown, near);
+    this.lines.hidden = !this.tools.isOn() && !this.crop?.drawn();
   }
 
   /** Requests the blending order for the current pose, one request at a time. */
@@ -335,6 +414,8 @@ class View {
   /** Releases everything. */
   leave() {
     this.#isGone = true;
+    this.deaf?.();
+    this.#aim?.took(null);
     cancelAnimationFrame(this.#asked);
     clearTimeout(this.#rest);
     this.resizes.disconnect();

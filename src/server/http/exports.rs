@@ -108,6 +108,8 @@ pub struct ExportForm {
     about: &'static str,
     /// Approximate size, bytes.
     bytes: u64,
+    /// Whether it holds the scene or a mesh of it, so that `crop` applies.
+    has_scene: bool,
 }
 
 /// The formats in which the result can be exported.
@@ -137,6 +139,7 @@ pub async fn list(
                 name: export.name(),
                 about: export.about(),
                 bytes: prepared.bytes(),
+                has_scene: export.has_scene(),
             }),
             Err(error) => {
                 tracing::info!(%error, export = export.name(), "an export is not available");

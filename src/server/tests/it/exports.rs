@@ -46,6 +46,8 @@ fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     assert_eq!(listed, FORMS);
     for export in exports {
         let name = export["name"].as_str().expect("a name");
+        let can_be_cropped = name.starts_with("scene") || name.starts_with("mesh");
+        assert_eq!(export["has_scene"], can_be_cropped, "{name}");
         let reply = get(&format!("/{name}")).expect(200);
         let said = export["bytes"].as_u64().expect("a number");
         let sent = reply.body.len() as u64;

@@ -1,0 +1,245 @@
+// A crop drawn in the 3D view, by pointer, keys and touch, and the exports that it shapes.
+
+import assert from "node:assert/strict";
+import { readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+
+import { notable } from "../../web/job/verdict.js";
+import { poseOf, surroundingsOf, unit } from "../../web/scene/camera.js";
+import { readHeader } from "../../web/scene/ply.js";
+import { Browser, PHONE, overflowing, picture } from "./browser.js";
+import { opened as unfolded } from "./played.js";
+import { walled } from "./ply.js";
+import { Server } from "./server.js";
+import { until } from "./until.js";
+
+const SIZE = { width: 1000, height: 900 };
+
+let server;
+let browser;
+let id;
+/** The wall in front of the camera from which the view starts, its normal, the ring's radius. */
+let wall;
+let camera;
+
+before(async () => {
+  server = await Server.start(process.env.FLED);
+  browser = await Browser.start(server.base);
+  id = await server.submit(server.capture(), "a scene");
+  await server.reached(id, "succeeded");
+  const output = join(server.folder, "data", "jobs", id, "output");
+  const cameras = JSON.parse(readFileSync(join(output, "cameras.json"), "utf8"));
+  const report = await server.rounds(id);
+  const start = notable(report).best;
+  camera = cameras.find(({ name }) => name === start);
+  const { centre, radius } = surroundingsOf(cameras);
+  const { axes } = poseOf(camera);
+  const normal = unit([0, 1, 2].map((k) => axes[2][k] + 0.4 * axes[0][k]));
+  wall = { centre, normal, radius, bytes: walled(centre, normal, radius) };
+  for (const path of [`rounds/${report.best_round}/scene.ply`, "scene.ply"]) {
+    writeFileSync(join(output, path), wall.bytes);
+  }
+});
+
+after(async () => {
+  await browser?.stop();
+  await server?.stop();
+});
+
+const frame = (page) => page.getByRole("application");
+const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
+const select = (page) => page.getByRole("combobox", { name: "Crop of exports" });
+const place = (page) => page.getByRole("button", { name: "Place", exact: true });
+const said = (page, words) => page.locator(".stage .hint", { hasText: words }).waitFor();
+const near = (a, b, by, what) => assert.ok(Math.abs(a - b) < by, `${what}: ${a}, not ${b}`);
+
+/** Opens the scene on the job's page and passes it on once it is shown. */
+const opened = (name, judge, viewport = SIZE, further = {}) =>
+  browser.visit(name, `#/jobs/${id}`, async (page, faults) => {
+    await page.getByRole("button", { name: /Walk through the scene/ }).click();
+    await settled(page);
+    await select(page).waitFor();
+    await judge(page, faults);
+    assert.deepEqual(await overflowing(page), []);
+  }, viewport, further);
+
+/** The canvas as a PNG. */
+const shown = (page) => page.locator(".frame canvas").first().evaluate((canvas) =>
+  canvas.toDataURL("image/png"));
+
+/** The middle of the crop as the page shows it. */
+const middle = (page) => Promise.all(["X", "Y", "Z"].map(async (axis) =>
+  Number(await page.getByLabel(`${axis} of the crop's middle`).inputValue())));
+
+/** Checks that a point is on the wall, at this place of the picture in CSS px. */
+async function isOnWall(page, point, [x, y]) {
+  const { centre, normal, radius } = wall;
+  const off = point.reduce((sum, value, k) => sum + (value - centre[k]) * normal[k], 0);
+  near(off, 0, 0.005 * radius, "from the wall");
+  const { width, height } = await frame(page).boundingBox();
+  const scale = Math.min(width / camera.width, height / camera.height);
+  const [right, down, ahead] = camera.world_to_camera.slice(0, 3).map((row) =>
+    row[3] + point.reduce((sum, value, k) => sum + value * row[k], 0));
+  const at = (focal, slope, principal, side, length) =>
+    length / 2 + scale * (focal * slope + principal - side / 2);
+  near(at(camera.fx, right / ahead, camera.cx, camera.width, width), x, 1, "across the picture");
+  near(at(camera.fy, down / ahead, camera.cy, camera.height, height), y, 1, "down the picture");
+}
+
+const exported = async (page, name) => {
+  const section = await unfolded(page, "Export");
+  const link = section.getByRole("link", { name, exact: true });
+  return new URL(await link.getAttribute("href"), server.base);
+};
+
+/** The Gaussians of a scene: where they are, and all of their numbers but the normals, as text. */
+function rowsOf(bytes) {
+  const { start, count, stride } = readHeader(bytes);
+  const view = new DataView(bytes.buffer, bytes.byteOffset);
+  return Array.from({ length: count }, (_, i) => {
+    const row = start + i * stride;
+    const part = (from, to) => Buffer.from(bytes.subarray(row + from, row + to)).toString("hex");
+    const place = [0, 4, 8].map((at) => view.getFloat32(row + at, true));
+    return { place, text: part(0, 12) + part(24, stride) };
+  });
+}
+
+/** Whether a point is inside the crop of an address. */
+function isInside(crop, place) {
+  const [shape, numbers] = crop.split(":");
+  const [x, y, z, ...size] = numbers.split(",").map(Number);
+  const away = [x, y, z].map((value, k) => place[k] - value);
+  return shape === "sphere" ? Math.hypot(...away) <= size[0]
+    : away.every((value, k) => Math.abs(value) <= size[k] / 2);
+}
+
+for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height", "Depth"]]]) {
+  test(`an exported scene has what is inside the drawn ${shape}, and the view shows that`, () =>
+    opened(`crop-${shape}`, async (page) => {
+      const whole = await shown(page);
+      await select(page).selectOption(shape);
+      await place(page).click();
+      await said(page, "Choose the middle of the crop: click its surface");
+      assert.deepEqual(await page.locator(".thumb span:visible").allInnerTexts(), ["Choose the middle of the crop"]);
+      const { width, height } = await frame(page).boundingBox();
+      const at = [Math.round(0.42 * width), Math.round(0.55 * height)];
+      await frame(page).click({ position: { x: at[0], y: at[1] } });
+      await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+      await settled(page);
+      await isOnWall(page, await middle(page), at);
+      for (const [k, name] of sizes.entries()) {
+        const slider = page.getByRole("slider", { name });
+        await slider.focus();
+        for (let i = 0; i <= k; i++) await page.keyboard.press("ArrowRight");
+      }
+      await settled(page);
+      await page.getByRole("button", { name: "Next photograph" }).click();
+      await settled(page);
+      await picture(page, `page-crop-${shape}`);
+      const cropped = await shown(page);
+      assert.notEqual(cropped, whole);
+
+      const address = await exported(page, "scene.ply");
+      const crop = address.searchParams.get("crop");
+      assert.equal(crop.split(":")[0], shape);
+      assert.deepEqual(crop.split(":")[1].split(",").slice(0, 3).map(Number), await middle(page));
+      const bytes = new Uint8Array(await (await fetch(address)).arrayBuffer());
+      const kept = rowsOf(wall.bytes).filter((row) => isInside(crop, row.place));
+      assert.ok(kept.length > 200 && kept.length < 8000, `${kept.length} are inside`);
+      const found = rowsOf(bytes);
+      assert.equal(found.length, kept.length);
+      assert.ok(found.every(({ text }, i) => text === kept[i].text), "exactly these");
+
+      // The exported scene by itself gives the same picture.
+      await page.route("**/artifacts/**/scene.ply", (route) => route.fulfill({ body: Buffer.from(bytes) }));
+      await page.getByRole("button", { name: "Close the 3D view" }).click();
+      await page.getByRole("button", { name: "Export everything" }).click();
+      await page.getByRole("button", { name: /Walk through the scene/ }).click();
+      await settled(page);
+      assert.equal(await select(page).inputValue(), "");
+      await page.getByRole("button", { name: "Next photograph" }).click();
+      await settled(page);
+      assert.equal(await shown(page), cropped);
+    }));
+}
+
+test("the links of scenes and meshes carry the crop until it is dropped", () =>
+  opened("crop-links", async (page) => {
+    const section = await unfolded(page, "Export");
+    const cropped = () => section.locator("a[download]").evaluateAll((links) => links
+      .filter(({ href }) => new URL(href).searchParams.has("crop")).map(({ download }) => download));
+    assert.deepEqual(await cropped(), []);
+    const notice = section.getByRole("status");
+    assert.equal(await notice.isVisible(), false);
+    await select(page).selectOption("box");
+    await notice.getByText("Scenes and meshes are cropped to the box drawn in the 3D view.").waitFor();
+    assert.deepEqual(await cropped(), ["scene.ply", "scene.compressed.ply", "scene.glb", "scene.usda",
+      "scene.v3.spz", "scene.spz", "scene.sog", "mesh.ply", "mesh.glb"]);
+    await section.locator("li", { hasText: "scene.glb" }).getByText(/^at most/).waitFor();
+    await picture(page, "page-crop-links");
+    const whole = await shown(page);
+    await notice.getByRole("button", { name: "Export everything" }).click();
+    assert.deepEqual(await cropped(), []);
+    assert.equal(await notice.isVisible(), false);
+    await settled(page);
+    assert.equal(await select(page).inputValue(), "");
+    assert.notEqual(await shown(page), whole);
+  }));
+
+test("by keys alone a crop is chosen, placed in the middle of the picture, moved and dropped", () =>
+  opened("crop-keys", async (page) => {
+    const before = await shown(page);
+    await select(page).focus();
+    await page.keyboard.press("ArrowDown");
+    assert.equal(await select(page).inputValue(), "sphere");
+    await place(page).focus();
+    await page.keyboard.press("Enter");
+    await said(page, "press Enter");
+    await settled(page);
+    assert.equal(await shown(page), before, "all of the scene is shown meanwhile");
+    await picture(page, "page-crop-aiming");
+    await page.keyboard.press("Enter");
+    await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+    const { width, height } = await frame(page).boundingBox();
+    const placed = await middle(page);
+    await isOnWall(page, placed, [width / 2, height / 2]);
+    await page.getByLabel("X of the crop's middle").focus();
+    await page.keyboard.press("ArrowUp");
+    const moved = await middle(page);
+    assert.ok(moved[0] > placed[0] && moved[1] === placed[1], `${placed} to ${moved}`);
+    // What is no number changes nothing.
+    await page.getByLabel("X of the crop's middle").fill("");
+    await page.keyboard.press("Tab");
+    assert.deepEqual(await middle(page), moved);
+    // Escape gives up placing, and only then leaves the picture.
+    await place(page).focus();
+    await page.keyboard.press("Enter");
+    await page.keyboard.press("Escape");
+    assert.ok(await frame(page).evaluate((one) => one === document.activeElement));
+    assert.deepEqual(await middle(page), moved);
+    await select(page).selectOption("");
+    await settled(page);
+    assert.equal(await shown(page), before);
+  }));
+
+test("a tap places it on a phone, and a place without a surface is refused", () =>
+  opened("crop-touch", async (page) => {
+    await select(page).selectOption("sphere");
+    await place(page).tap();
+    const { width, height } = await frame(page).boundingBox();
+    const at = [Math.round(0.6 * width), Math.round(0.4 * height)];
+    await frame(page).tap({ position: { x: at[0], y: at[1] } });
+    await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+    await isOnWall(page, await middle(page), at);
+    await settled(page);
+    await picture(page, "page-crop-phone");
+    const placed = await middle(page);
+    await place(page).tap();
+    await frame(page).evaluate((one) => one.focus());
+    for (let i = 0; i < 8; i++) await page.keyboard.press("ArrowLeft", { delay: 300 });
+    await settled(page);
+    await page.keyboard.press("Enter");
+    await said(page, "There is no surface at that place");
+    assert.deepEqual(await middle(page), placed);
+  }, PHONE, { hasTouch: true, isMobile: true }));
