@@ -19,6 +19,7 @@ use archive::{Archive, Picture, pictures};
 use serde_json::Value;
 
 use crate::camera::{Intrinsics, NamedCamera};
+use crate::gaussians::placement::Placement;
 use crate::gaussians::ply::{self, Extent, PlyError, Scene};
 use crate::gaussians::{Y00, compressed, glb, sog, spz, usd};
 use crate::image::Image;
@@ -199,11 +200,14 @@ impl Export {
     ) -> Result<Prepared, ExportError> {
         let path = run.scene_of(round);
         self.check(round, trim)?;
-        let scene = |bytes_of, write_to| Content::scene(&path, trim, bytes_of, write_to);
+        let flat = |bytes_of, write| Content::scene(&path, trim, bytes_of, WriteScene::Flat(write));
+        let placed =
+            |bytes_of, write| Content::scene(&path, trim, bytes_of, WriteScene::Placed(write));
+        let placement = trim.placement();
         let mesh = |format| -> Result<Content, ExportError> {
             let (scene, _) = Source::of(&path, trim)?;
             let cameras = cameras::cameras(run, round)?;
-            Ok(Content::Unmeshed { scene, cameras, detail: trim.mesh, format })
+            Ok(Content::Unmeshed { scene, cameras, detail: trim.mesh, format, placement })
         };
         Ok(Prepared(match self {
             Self::Restored => Content::Pictures(pictures(run, round)?),
@@ -224,13 +228,13 @@ impl Export {
             Self::Transforms => Content::json(&cameras::transforms(run, round)?),
             Self::InriaCameras => Content::json(&cameras::inria(run, round)?),
             Self::Ply if trim.is_nothing() => Content::copy(path)?,
-            Self::Ply => scene(ply::bytes_of, ply::write_scene)?,
-            Self::CompressedScene => scene(compressed::bytes_of, compressed::write_to)?,
-            Self::Gltf => scene(glb::bytes_of, glb::write_to)?,
-            Self::Usd => scene(usd::bytes_of, usd::write_to)?,
-            Self::SpzVersion3 => scene(spz::bytes_of, spz::write_version_3)?,
-            Self::Spz => scene(spz::bytes_of, spz::write_version_4)?,
-            Self::Sog => scene(sog::bytes_of, sog::write_to)?,
+            Self::Ply => flat(ply::bytes_of, ply::write_scene)?,
+            Self::CompressedScene => flat(compressed::bytes_of, compressed::write_to)?,
+            Self::Gltf => placed(glb::bytes_of, glb::write_to)?,
+            Self::Usd => placed(usd::bytes_of, usd::write_to)?,
+            Self::SpzVersion3 => flat(spz::bytes_of, spz::write_version_3)?,
+            Self::Spz => flat(spz::bytes_of, spz::write_version_4)?,
+            Self::Sog => flat(sog::bytes_of, sog::write_to)?,
             Self::MeshPly => mesh((mesh::bytes_of_ply, mesh::write_ply))?,
             Self::MeshGltf => mesh((mesh::bytes_of_gltf, mesh::write_gltf))?,
         }))
@@ -253,12 +257,34 @@ impl FromStr for Export {
 enum Content {
     Pictures(Vec<Picture>),
     Linear(Vec<(NamedCamera, Picture)>),
-    Colmap { views: Vec<(NamedCamera, Picture)>, scene: PathBuf, gaussians: usize },
-    Scene { scene: Source, bytes: u64, write_to: WriteScene },
-    Copy { path: PathBuf, bytes: u64 },
+    Colmap {
+        views: Vec<(NamedCamera, Picture)>,
+        scene: PathBuf,
+        gaussians: usize,
+    },
+    Scene {
+        scene: Source,
+        bytes: u64,
+        write_to: WriteScene,
+        placement: Placement,
+    },
+    Copy {
+        path: PathBuf,
+        bytes: u64,
+    },
     Text(String),
-    Unmeshed { scene: Source, cameras: Vec<NamedCamera>, detail: Detail, format: OfMesh },
-    Meshed { mesh: Box<Mesh>, format: OfMesh },
+    Unmeshed {
+        scene: Source,
+        cameras: Vec<NamedCamera>,
+        detail: Detail,
+        format: OfMesh,
+        placement: Placement,
+    },
+    Meshed {
+        mesh: Box<Mesh>,
+        format: OfMesh,
+        placement: Placement,
+    },
 }
 
 /// A scene to be written.
@@ -271,15 +297,35 @@ enum Source {
 }
 
 /// The approximate size of a mesh with a number of triangles, and its writer.
-type OfMesh = (fn(usize) -> u64, fn(&Mesh, &mut dyn Write) -> io::Result<()>);
+type OfMesh = (fn(usize) -> u64, fn(&Mesh, Placement, &mut dyn Write) -> io::Result<()>);
 
 /// Writes a scene in some format.
-type WriteScene = fn(&Scene, &mut dyn Write) -> io::Result<()>;
+#[derive(Clone, Copy, Debug)]
+enum WriteScene {
+    /// All numbers are in the units of the export.
+    Flat(fn(&Scene, &mut dyn Write) -> io::Result<()>),
+    /// A node of the file has the placement.
+    Placed(fn(&Scene, Placement, &mut dyn Write) -> io::Result<()>),
+}
+
+impl WriteScene {
+    fn to(self, scene: Cow<'_, Scene>, by: Placement, out: &mut dyn Write) -> io::Result<()> {
+        match self {
+            Self::Flat(write) if by.scale == 1.0 => write(&scene, out),
+            Self::Flat(write) => {
+                let mut scene = scene.into_owned();
+                scene.normalisation = scene.normalisation.of_scaled_world(by.scale);
+                write(&scene, out)
+            }
+            Self::Placed(write) => write(&scene, by, out),
+        }
+    }
+}
 
 impl Source {
     /// A scene, with its number of Gaussians and its degree.
     fn of(path: &Path, trim: Trim) -> Result<(Self, (usize, u32)), ExportError> {
-        if trim.is_nothing() {
+        if trim.keeps_all() {
             let Extent { gaussians, sh_degree, .. } = ply::read_extent(path)?;
             return Ok((Self::File(path.to_owned()), (gaussians, sh_degree)));
         }
@@ -312,7 +358,8 @@ impl Content {
         write_to: WriteScene,
     ) -> Result<Self, ExportError> {
         let (scene, (gaussians, sh_degree)) = Source::of(path, trim)?;
-        Ok(Self::Scene { scene, bytes: bytes_of(gaussians, sh_degree), write_to })
+        let bytes = bytes_of(gaussians, sh_degree);
+        Ok(Self::Scene { scene, bytes, write_to, placement: trim.placement() })
     }
 
     /// The scene's own file.
@@ -337,14 +384,14 @@ impl Prepared {
     /// # Errors
     /// [`ExportError::Mesh`], or if the scene cannot be read.
     pub fn meshed(self) -> Result<Self, ExportError> {
-        let Content::Unmeshed { scene, cameras, detail, format } = self.0 else {
+        let Content::Unmeshed { scene, cameras, detail, format, placement } = self.0 else {
             return Ok(self);
         };
         let mesh = Box::new(mesh::of(&*scene.read()?, &cameras, detail)?);
-        Ok(Self(Content::Meshed { mesh, format }))
+        Ok(Self(Content::Meshed { mesh, format, placement }))
     }
 
-    /// The measures of its mesh, once that is made.
+    /// The measures of its mesh, once that is made, in units of the poses' world.
     pub fn facts(&self) -> Option<Facts> {
         match &self.0 {
             Content::Meshed { mesh, .. } => Some(mesh.facts),
@@ -372,7 +419,7 @@ impl Prepared {
             Content::Unmeshed { detail, format: (bytes_of, _), .. } => {
                 bytes_of(detail.triangles.unwrap_or(mesh::TRIANGLES))
             }
-            Content::Meshed { mesh, format: (bytes_of, _) } => bytes_of(mesh.triangles.len()),
+            Content::Meshed { mesh, format: (bytes_of, _), .. } => bytes_of(mesh.triangles.len()),
         }
     }
 
@@ -414,9 +461,9 @@ impl Prepared {
                 }
                 archive.finish()
             }
-            Content::Scene { scene, write_to, .. } => {
+            Content::Scene { scene, write_to, placement, .. } => {
                 let mut out = io::BufWriter::new(out);
-                write_to(&*scene.read()?, &mut out).map_err(ExportError::Write)
+                write_to.to(scene.read()?, *placement, &mut out).map_err(ExportError::Write)
             }
             Content::Copy { path, .. } => {
                 let mut file = File::open(path).map_err(ExportError::io(path))?;
@@ -427,12 +474,14 @@ impl Prepared {
                 let written = out.write_all(text.as_bytes()).and_then(|()| out.flush());
                 written.map_err(ExportError::Write)
             }
-            Content::Unmeshed { scene, cameras, detail, format: (_, write_to) } => {
+            Content::Unmeshed { scene, cameras, detail, format: (_, write_to), placement } => {
                 let mesh = mesh::of(&*scene.read()?, cameras, *detail)?;
-                write_to(&mesh, &mut io::BufWriter::new(out)).map_err(ExportError::Write)
+                let mut out = io::BufWriter::new(out);
+                write_to(&mesh, *placement, &mut out).map_err(ExportError::Write)
             }
-            Content::Meshed { mesh, format: (_, write_to) } => {
-                write_to(mesh, &mut io::BufWriter::new(out)).map_err(ExportError::Write)
+            Content::Meshed { mesh, format: (_, write_to), placement } => {
+                let mut out = io::BufWriter::new(out);
+                write_to(mesh, *placement, &mut out).map_err(ExportError::Write)
             }
         }
     }

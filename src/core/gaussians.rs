@@ -2,6 +2,7 @@
 
 pub mod compressed;
 pub mod glb;
+pub mod placement;
 pub mod ply;
 pub mod sog;
 pub mod spz;

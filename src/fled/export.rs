@@ -28,6 +28,10 @@ pub struct Args {
     /// poses: box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS.
     #[arg(long, value_name = "SHAPE")]
     crop: Option<Crop>,
+    /// Multiplies all lengths, for example by the metres of a unit of the poses' world: in the node
+    /// of scene.glb, scene.usda and mesh.glb, elsewhere in the coordinates themselves.
+    #[arg(long, value_name = "FACTOR", value_parser = scale)]
+    scale: Option<f64>,
     /// Degree of the harmonics: cuts those of the scene or pads them with zeros.
     #[arg(long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(0..=i64::from(MOST_SH_DEGREE)))]
@@ -43,6 +47,10 @@ pub struct Args {
     /// Bytes of address space; the process ends if it needs more.
     #[arg(long, value_name = "BYTES", hide = true)]
     memory: Option<u64>,
+}
+
+fn scale(text: &str) -> Result<f64, String> {
+    text.parse().map_err(|_| format!("`{text}` is not a number")).and_then(Trim::scale)
 }
 
 fn triangles(text: &str) -> Result<usize, String> {
@@ -67,7 +75,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     }
     let run = RunFolder::new(&args.run);
     let mesh = Detail { triangles: args.triangles, voxel: args.voxel };
-    let trim = Trim { crop: args.crop, sh_degree: args.sh_degree, mesh };
+    let trim = Trim { crop: args.crop, sh_degree: args.sh_degree, scale: args.scale, mesh };
     let prepared = args.export.prepare(&run, args.round, trim)?;
     let output = args.output.clone();
     let output = output.unwrap_or_else(|| args.export.name().into());

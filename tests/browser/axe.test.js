@@ -85,6 +85,17 @@ const PAGES = {
       await part(page, "Log").waitFor();
     },
   ],
+  scene: [
+    async () => `#/jobs/${await ended("splats", "one with a scene", "succeeded")}`,
+    async (page) => {
+      await page.getByRole("button", { name: /Walk through the scene/ }).click();
+      await page.locator(".frame[aria-busy=false]").waitFor();
+      await page.getByRole("combobox", { name: "Crop of exports" }).selectOption("box");
+      await page.getByRole("slider", { name: "Depth" }).waitFor();
+      await page.getByRole("button", { name: "Measure" }).click();
+      await seen(page.getByRole("status"), "Choose the first point");
+    },
+  ],
   failed: [async () => `#/jobs/${await failed()}`, (page) => seen(state(page), "failed")],
   running: [async () => `#/jobs/${await running()}`, (page) => seen(state(page), "running")],
   "compare-with": [

@@ -13,7 +13,8 @@ export async function exportList(base, shaping) {
   if (!found?.exports.length) return null;
   const rows = found.exports.map((one) => row(base, one));
   const notice = h("div", { class: "notices shaped", role: "status" });
-  const root = h("div", {}, notice, h("ul", { class: "exports bare" }, rows.map((one) => one.root)));
+  const list = h("ul", { class: "exports bare" }, rows.map((one) => one.root));
+  const root = h("div", {}, notice, list);
   const show = () => {
     notice.replaceChildren(...notices(shaping));
     notice.hidden = notice.childElementCount === 0;
@@ -31,9 +32,10 @@ function row(base, { name, about, bytes, has_scene: hasScene }) {
   const weight = h("span", { class: "soft" });
   return {
     root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about)),
-    show({ crop }) {
+    show({ crop, scale }) {
       const isCropped = hasScene && crop !== null;
       const query = new URLSearchParams(isCropped ? { crop: cropText(crop) } : {});
+      if (hasScene && scale !== null) query.set("scale", scale);
       link.href = `${base}/exports/${name}${query.size > 0 ? `?${query}` : ""}`;
       // It is made while being sent.
       weight.textContent = `${isCropped ? "at most" : "about"} ${size(bytes)}`;
@@ -43,11 +45,13 @@ function row(base, { name, about, bytes, has_scene: hasScene }) {
 
 /** What applies to all scenes and meshes, each with a button that drops it. */
 function notices(shaping) {
-  const { crop } = shaping.now;
-  const drop = (words, some) =>
-    h("button", { type: "button", onclick: () => shaping.change(some) }, words);
+  const { crop, scale } = shaping.now;
+  const line = (words, drop, some) => h("p", { class: "row" }, words,
+    h("button", { type: "button", onclick: () => shaping.change(some) }, drop));
   return [
-    crop && h("p", { class: "row" }, `Scenes and meshes are cropped to the ${crop.shape} drawn in the 3D view.`,
-      drop("Export everything", { crop: null })),
+    crop && line(`Scenes and meshes are cropped to the ${crop.shape} drawn in the 3D view.`,
+      "Export everything", { crop: null }),
+    scale !== null && line("Lengths in scenes and meshes are in metres: "
+      + `1 unit is ${scale} m, as measured in the 3D view.`, "Export as it is", { scale: null }),
   ].filter(Boolean);
 }

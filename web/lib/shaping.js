@@ -2,14 +2,14 @@
 // both show and change it.
 
 /**
- * `now` is `{ isOffered, crop }`: whether there are exports, and `null` or a crop of them;
- * `change(some)` replaces some of it, and `heard(does)` calls `does` after each change until the
- * function that it returns is called.
+ * `now` is `{ isOffered, crop, scale }`: whether there are exports, and a crop of them and their
+ * metres per unit of the poses' world, each `null` if there is none. `change(some)` replaces some
+ * of it. `heard(does)` calls `does` after each change until the function that it returns is called.
  */
 export function newShaping() {
   const hearing = new Set();
   return {
-    now: { isOffered: false, crop: null },
+    now: { isOffered: false, crop: null, scale: null },
     change(some) {
       this.now = { ...this.now, ...some };
       for (const does of hearing) does();

@@ -49,7 +49,9 @@ export function cropWithin({ shape, centre, size }, world) {
 
 /** Whether a drawn point is inside a drawn crop, as its Gaussian is then drawn and exported. */
 export function contains({ isBox, centre, half }, x, y, z) {
-  const [a, b, c] = [(x - centre[0]) / half[0], (y - centre[1]) / half[1], (z - centre[2]) / half[2]];
+  const a = (x - centre[0]) / half[0];
+  const b = (y - centre[1]) / half[1];
+  const c = (z - centre[2]) / half[2];
   return isBox ? Math.abs(a) <= 1 && Math.abs(b) <= 1 && Math.abs(c) <= 1
     : a * a + b * b + c * c <= 1;
 }

@@ -1,7 +1,9 @@
 // The controls of the crop that is drawn in the scene, for exports.
 
 import { h } from "../lib/dom.js";
-import { cropWithin, firstCrop, outline, reshaped, roundedLength, roundedPoint, usualReach } from "./crop.js";
+import {
+  cropWithin, firstCrop, outline, reshaped, roundedLength, roundedPoint, usualReach,
+} from "./crop.js";
 import { drawLines } from "./lines.js";
 import { slider } from "./slider.js";
 
@@ -21,6 +23,7 @@ const AIM = "Choose the middle of the crop";
 export function cropTools(shaping, surroundings, world, ask) {
   let last = shaping.now.crop ?? firstCrop(surroundings, world);
   const usual = usualReach(surroundings, world);
+  const nudge = 10 ** Math.floor(Math.log10(usual / 5));
   const change = (crop) => shaping.change({ crop: { ...shaping.now.crop, ...crop } });
   const choose = () => shaping.change({
     crop: select.value === "" ? null : reshaped(last, select.value),
@@ -39,7 +42,7 @@ export function cropTools(shaping, surroundings, world, ask) {
   }, "Place");
   const axes = ["X", "Y", "Z"].map((name, axis) => {
     const input = h("input", {
-      type: "number", step: String(usual / 10), "aria-label": `${name} of the crop's middle`,
+      type: "number", step: String(nudge), "aria-label": `${name} of the crop's middle`,
       oninput: () => {
         if (!Number.isFinite(input.valueAsNumber)) return;
         change({ centre: shaping.now.crop.centre.with(axis, input.valueAsNumber) });
@@ -54,16 +57,16 @@ export function cropTools(shaping, surroundings, world, ask) {
   const row = h("div", { class: "row shapes", hidden: true },
     place, axes.map(({ root }) => root), sizes);
 
-  const sizeAt = (step, whole) => roundedLength(whole * 2 ** (step / OCTAVE));
   const whole = () => (shape === "box" ? 2 * usual : usual);
+  const sizeAt = (step) => roundedLength(whole() * 2 ** (step / OCTAVE));
 
   function reshape(now) {
     shape = now;
     sliders = NAMES[shape].map((name, k) => slider(name, "size", {
       min: -FARTHEST, max: FARTHEST, step: 1, first: 0,
-      words: (step) => `${name} ${sizeAt(step, whole())}`,
+      words: () => `${name} ${shaping.now.crop.size[k]}`,
       changed: (step) => change({
-        size: shaping.now.crop.size.with(k, sizeAt(step ?? 0, whole())),
+        size: shaping.now.crop.size.with(k, sizeAt(step ?? 0)),
       }),
     }));
     sizes.replaceChildren(...sliders.map(({ root }) => root));

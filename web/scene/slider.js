@@ -7,7 +7,8 @@ import { h } from "../lib/dom.js";
  * with null for that double click.
  */
 export function slider(name, style, { min, max, step, first, words, changed }) {
-  const input = h("input", { type: "range", min: String(min), max: String(max), step: String(step), "aria-label": name });
+  const range = { min: String(min), max: String(max), step: String(step) };
+  const input = h("input", { type: "range", ...range, "aria-label": name });
   const label = h("span", {});
   const value = () => Number(input.value);
   const set = (now) => {

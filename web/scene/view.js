@@ -11,6 +11,7 @@ import { loading } from "./loading.js";
 import { SceneError } from "./ply.js";
 import { sceneTools } from "./tools.js";
 import { savedPicture } from "./picture.js";
+import { ruler } from "./ruler.js";
 import { cameraWithin, matrixInWorld, worldOf } from "./world.js";
 
 /** Most canvas pixels per CSS pixel; more cost time without visible gain. */
@@ -41,8 +42,8 @@ const NO_WEBGL = "This browser does not support WebGL 2, which the 3D view needs
 const LOST = "The graphics adapter dropped the picture, as can happen when it is overloaded or the "
   + "machine was asleep. Open the scene again.";
 /** How to pick a point, after what it is for. */
-const PICKING = "click its surface, or turn the view and press Enter to take what is in the middle of the "
-  + "picture. Escape cancels.";
+const PICKING = "click its surface, or turn the view and press Enter to take what is in the middle "
+  + "of the picture. Escape cancels.";
 const NOTHING = "There is no surface at that place";
 
 /**
@@ -111,8 +112,13 @@ class View {
     }, this.canvas, this.lines, this.veil, this.thumb);
     this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
     this.crop = of.shaping && cropTools(of.shaping, this.surroundings, this.world, this.#ask);
+    this.ruler = of.shaping
+      && ruler(of.shaping, this.surroundings, this.world, this.#ask, () => this.wake());
     this.deaf = of.shaping?.heard(() => this.#shaped());
-    const further = { choices: [this.crop?.choice], rows: [this.crop?.row] };
+    const drawing = [this.crop, this.ruler].filter(Boolean);
+    const further = {
+      choices: drawing.map(({ choice }) => choice), rows: drawing.map(({ row }) => row),
+    };
     this.tools = sceneTools(cameras, this.stage, of.isBest, further, {
       jump: (index) => this.jump(index),
       reset: () => this.jump(this.start),
@@ -239,7 +245,7 @@ class View {
     this.#stand(pose, -1);
   }
 
-  /** For the controls: a click picks a point if one is wanted, or on a camera's lines flies there. */
+  /** For the controls: a click picks a point if one is asked for, or flies to a camera's lines. */
   clicked(x, y) {
     const scale = this.canvas.width / this.frame.clientWidth;
     /** @type {[number, number]} */
@@ -303,6 +309,7 @@ class View {
   /** The user has drawn something, here or elsewhere. */
   #shaped() {
     this.crop.show();
+    this.ruler.show();
     if (this.#aim && !this.#aim.isCropped && !this.crop.drawn()) this.#took(null);
     this.wake();
   }
@@ -373,8 +380,8 @@ class View {
     const near = NEAR * this.surroundings.radius;
     context.clearRect(0, 0, width, height);
     if (this.tools.isOn()) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
-    this.crop?.draw(context, this.pose, this.shown, near);
-    this.lines.hidden = !this.tools.isOn() && !this.crop?.drawn();
+    for (const drawn of [this.crop, this.ruler]) drawn?.draw(context, this.pose, this.shown, near);
+    this.lines.hidden = !this.tools.isOn() && !this.crop?.drawn() && !this.ruler?.isShown();
   }
 
   /** Requests the blending order for the current pose, one request at a time. */

@@ -64,6 +64,12 @@ impl Normalisation {
         Self { offset, scale: SCALE_STEP.powi(-(steps as i32)), left_out: of_f32 > COARSEST * size }
     }
 
+    /// From the same world with `factor` times its lengths.
+    #[must_use]
+    pub fn of_scaled_world(self, factor: f64) -> Self {
+        Self { offset: factor * self.offset, scale: self.scale / factor, ..self }
+    }
+
     /// Whether it changes nothing.
     pub fn is_identity(&self) -> bool {
         *self == Self::default()

@@ -1,35 +1,59 @@
-//! What an export leaves out of a scene.
+//! What an export leaves out of a scene, and its unit.
 
 use std::fmt;
 use std::str::FromStr;
 
 use glam::DVec3;
 
+use crate::gaussians::placement::Placement;
 use crate::gaussians::ply::Scene;
 use crate::mesh::Detail;
 
 /// Highest degree of the harmonics.
 pub const MOST_SH_DEGREE: u32 = 3;
 
-/// What an export leaves out of a scene; nothing by default.
+/// How an export differs from the scene; by default it does not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Trim {
     /// Where Gaussians are kept.
     pub crop: Option<Crop>,
     /// Degree of the harmonics, 0 to [`MOST_SH_DEGREE`]: the scene's are cut, or padded with zeros.
     pub sh_degree: Option<u32>,
+    /// Units of the export, such as metres, per unit of the poses' world, if not 1.
+    pub scale: Option<f64>,
     /// How fine a mesh is.
     pub mesh: Detail,
 }
 
 impl Trim {
-    /// Whether it changes nothing of the scene.
-    pub fn is_nothing(&self) -> bool {
-        Self { mesh: Detail::default(), ..*self } == Self::default()
+    /// Checks a scale.
+    ///
+    /// # Errors
+    /// The rest of a sentence if it is not positive and finite.
+    pub fn scale(wanted: f64) -> Result<f64, String> {
+        if wanted > 0.0 && wanted.is_finite() {
+            return Ok(wanted);
+        }
+        Err(format!("must be a positive number, not {wanted}"))
     }
 
-    /// The rest of a scene. A Gaussian is inside a crop if its centre is. How fine a mesh is does
-    /// not change the scene.
+    /// Whether it changes nothing of the scene.
+    pub fn is_nothing(&self) -> bool {
+        self.keeps_all() && self.scale.is_none()
+    }
+
+    /// Whether it leaves nothing of the scene out, and adds nothing.
+    pub(super) fn keeps_all(&self) -> bool {
+        self.crop.is_none() && self.sh_degree.is_none()
+    }
+
+    /// Where the export lies.
+    pub(super) fn placement(&self) -> Placement {
+        Placement { scale: self.scale.unwrap_or(1.0) }
+    }
+
+    /// The rest of a scene. A Gaussian is inside a crop if its centre is. Scale and fineness of a
+    /// mesh do not change the scene.
     pub(super) fn of(&self, scene: Scene) -> Scene {
         let Scene { mut gaussians, normalisation } = scene;
         if let Some(crop) = self.crop {

@@ -1,7 +1,7 @@
 //! Scenes as binary glTF 2.0 with the ratified extension `KHR_gaussian_splatting`, for three.js,
 //! Babylon.js, Cesium, PlayCanvas and other programs that read glTF. Nothing is rounded: rotations
 //! are unit quaternions x y z w, scales and opacities are not logarithms and logits but the numbers
-//! themselves, and an offset that `f32` cannot represent is the node's translation.
+//! themselves, and the node has the placement, with an offset that `f32` cannot represent.
 //!
 //! glTF's y points up and its z backwards, so the scene is turned by half a turn about x.
 
@@ -11,6 +11,7 @@ use std::io::{self, Write};
 
 use serde_json::{Value, json};
 
+use super::placement::Placement;
 use super::ply::{Scene, in_file};
 use super::{Gaussians, Y00};
 use crate::image::srgb_to_linear;
@@ -31,7 +32,7 @@ pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
 ///
 /// # Errors
 /// Those of the writer, and if no Gaussian is usable, which glTF cannot express.
-pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
+pub fn write_to(scene: &Scene, placement: Placement, out: &mut dyn Write) -> io::Result<()> {
     let gaussians = in_file(&scene.gaussians, &scene.normalisation).without_unusable();
     let gaussians = gaussians.turned_y_up();
     if gaussians.is_empty() {
@@ -41,10 +42,7 @@ pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     let layout = Layout::of(&attributes, gaussians.len());
     let length = layout.length;
     let mut document = document(&layout);
-    let offset = scene.normalisation.missing_in_files();
-    if scene.normalisation.left_out {
-        document["nodes"][0]["translation"] = json!([offset.x, -offset.y, -offset.z]);
-    }
+    placement.node(&scene.normalisation).add_to(&mut document["nodes"][0]);
     write_header(&document, length, out)?;
     write_attributes(&attributes, gaussians.len(), out)?;
     out.flush()

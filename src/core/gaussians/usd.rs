@@ -1,7 +1,7 @@
 //! Scenes as OpenUSD text: one `ParticleField3DGaussianSplat` of UsdVol, which OpenUSD has from
 //! 26.03 on. Nothing is rounded: rotations are unit quaternions w x y z, scales and opacities are
-//! not logarithms and logits but the numbers themselves, and an offset that `f32` cannot represent
-//! is the translation of the prim above.
+//! not logarithms and logits but the numbers themselves, and the prim above has the placement, with
+//! an offset that `f32` cannot represent.
 //!
 //! The stage's y points up, so the scene is turned by half a turn about x.
 
@@ -9,6 +9,7 @@ use std::fmt::{self, Display};
 use std::io::{self, Write};
 
 use super::Gaussians;
+use super::placement::{Node, Placement};
 use super::ply::{Scene, in_file};
 
 /// Standard deviations from a Gaussian's middle to the border of its extent.
@@ -28,20 +29,20 @@ pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
+pub fn write_to(scene: &Scene, placement: Placement, out: &mut dyn Write) -> io::Result<()> {
     let gaussians = in_file(&scene.gaussians, &scene.normalisation).without_unusable();
     let gaussians = gaussians.turned_y_up();
-    let offset = scene.normalisation.missing_in_files();
-    out.write_all(
-        b"#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    doc = \"Made by fled. A unit of the \
-        world of the poses is called a metre.\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\n\
-        def Xform \"Scene\"\n{\n",
+    let unit = if placement.scale == 1.0 {
+        "A unit of the world of the poses is called a metre.".to_owned()
+    } else {
+        format!("A unit of the world of the poses is {} m.", placement.scale)
+    };
+    write!(
+        out,
+        "#usda 1.0\n(\n    defaultPrim = \"Scene\"\n    doc = \"Made by fled. {unit}\"\n    \
+         metersPerUnit = 1\n    upAxis = \"Y\"\n)\n\ndef Xform \"Scene\"\n{{\n",
     )?;
-    if scene.normalisation.left_out {
-        let place = Tuple([offset.x, -offset.y, -offset.z]);
-        writeln!(out, "    double3 xformOp:translate = {place}")?;
-        writeln!(out, "    uniform token[] xformOpOrder = [\"xformOp:translate\"]\n")?;
-    }
+    write_node(placement.node(&scene.normalisation), out)?;
     writeln!(out, "    def ParticleField3DGaussianSplat \"Gaussians\"\n    {{")?;
     let each = 0..gaussians.len();
     if let Some(extent) = extent(&gaussians) {
@@ -62,6 +63,24 @@ pub fn write_to(scene: &Scene, out: &mut dyn Write) -> io::Result<()> {
     list(out, "float3[] radiance:sphericalHarmonicsCoefficients", harmonics)?;
     writeln!(out, "    }}\n}}")?;
     out.flush()
+}
+
+/// Writes the transform of the prim above, if it is not the identity.
+fn write_node(node: Node, out: &mut dyn Write) -> io::Result<()> {
+    let mut operations = Vec::new();
+    if node.translates() {
+        let place = Tuple(node.translation.to_array());
+        writeln!(out, "    double3 xformOp:translate = {place}")?;
+        operations.push("\"xformOp:translate\"");
+    }
+    if node.scale != 1.0 {
+        writeln!(out, "    double3 xformOp:scale = {}", Tuple([node.scale; 3]))?;
+        operations.push("\"xformOp:scale\"");
+    }
+    if !operations.is_empty() {
+        writeln!(out, "    uniform token[] xformOpOrder = [{}]\n", operations.join(", "))?;
+    }
+    Ok(())
 }
 
 /// Corners of the box around the Gaussians.

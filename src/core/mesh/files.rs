@@ -2,11 +2,12 @@
 
 use std::io::{self, Write};
 
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use serde_json::json;
 
 use super::{Facts, Mesh};
 use crate::gaussians::glb::container::{self, Attribute};
+use crate::gaussians::placement::Placement;
 use crate::gaussians::ply::offset_comment;
 use crate::image::srgb_to_linear;
 
@@ -30,14 +31,15 @@ fn bytes_of([vertex, triangle]: [usize; 2], triangles: usize) -> u64 {
     (triangles * triangle + triangles / 2 * vertex) as u64
 }
 
-/// Writes a mesh as binary PLY in little endian.
+/// Writes a mesh as binary PLY in little endian, in the units of its placement.
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_ply(mesh: &Mesh, out: &mut dyn Write) -> io::Result<()> {
+pub fn write_ply(mesh: &Mesh, placement: Placement, out: &mut dyn Write) -> io::Result<()> {
+    let scale = placement.scale;
     out.write_all(b"ply\nformat binary_little_endian 1.0\n")?;
-    out.write_all(offset_comment(&mesh.normalisation).as_bytes())?;
-    writeln!(out, "comment {}", mesh.facts)?;
+    out.write_all(offset_comment(&mesh.normalisation.of_scaled_world(scale)).as_bytes())?;
+    writeln!(out, "comment {}", Facts { voxel: scale * mesh.facts.voxel, ..mesh.facts })?;
     writeln!(out, "element vertex {}", mesh.positions.len())?;
     for name in ["x", "y", "z", "nx", "ny", "nz"] {
         writeln!(out, "property float {name}")?;
@@ -48,6 +50,7 @@ pub fn write_ply(mesh: &Mesh, out: &mut dyn Write) -> io::Result<()> {
     writeln!(out, "element face {}", mesh.triangles.len())?;
     out.write_all(b"property list uchar int vertex_indices\nend_header\n")?;
     for ((at, normal), colour) in mesh.positions.iter().zip(&mesh.normals).zip(&mesh.colours) {
+        let at = (scale * at.as_dvec3()).as_vec3();
         for value in at.to_array().into_iter().chain(normal.to_array()) {
             out.write_all(&value.to_le_bytes())?;
         }
@@ -71,7 +74,7 @@ fn y_up(at: Vec3) -> [f32; 4] {
 ///
 /// # Errors
 /// Those of the writer, and if it is larger than glTF allows.
-pub fn write_gltf(mesh: &Mesh, out: &mut dyn Write) -> io::Result<()> {
+pub fn write_gltf(mesh: &Mesh, placement: Placement, out: &mut dyn Write) -> io::Result<()> {
     let colour = |vertex: usize| {
         let [r, g, b] = mesh.colours[vertex].map(|v| srgb_to_linear(f32::from(v) / 255.0));
         [r, g, b, 1.0]
@@ -88,10 +91,7 @@ pub fn write_gltf(mesh: &Mesh, out: &mut dyn Write) -> io::Result<()> {
     let mut node = json!({ "mesh": 0, "extras": { "fled": {
         "voxel": voxel, "boundary_edges": boundary_edges, "seen": seen, "met": met
     } } });
-    if mesh.normalisation.left_out {
-        let DVec3 { x, y, z } = mesh.normalisation.missing_in_files();
-        node["translation"] = json!([x, -y, -z]);
-    }
+    placement.node(&mesh.normalisation).add_to(&mut node);
     let document = json!({
         "asset": { "version": "2.0", "generator": "fled" },
         "extensionsUsed": ["KHR_materials_unlit"],

@@ -5,6 +5,7 @@ use serde_json::Value;
 
 use super::*;
 use crate::camera::{Camera, Intrinsics, Split};
+use crate::gaussians::placement::Placement;
 use crate::gaussians::{Gaussians, Y00};
 
 /// Directions spread evenly over a sphere.
@@ -84,7 +85,7 @@ fn a_ball_is_meshed_where_it_is_with_normals_outwards_and_its_colours() {
 fn the_same_scene_gives_the_same_bytes() {
     let bytes = || {
         let mut bytes = Vec::new();
-        write_ply(&meshed(Detail::default()), &mut bytes).expect("written");
+        write_ply(&meshed(Detail::default()), Placement::default(), &mut bytes).expect("written");
         bytes
     };
     assert!(bytes() == bytes());
@@ -159,13 +160,37 @@ fn a_mesh_is_in_the_world_of_the_poses_less_the_offset_of_scene_ply() {
     assert!(far.positions.iter().all(|at| (at.length() - 16.0).abs() < 1.5));
     assert!((0.5..1.5).contains(&far.facts.voxel), "{}", far.facts.voxel);
     let mut bytes = Vec::new();
-    write_ply(&far, &mut bytes).expect("written");
+    write_ply(&far, Placement::default(), &mut bytes).expect("written");
     let text = String::from_utf8_lossy(&bytes[..400]).into_owned();
     assert!(text.contains("comment fled: add 512352 -5412352 64 to x y z"), "{text}");
     bytes.clear();
-    write_gltf(&far, &mut bytes).expect("written");
+    write_gltf(&far, Placement::default(), &mut bytes).expect("written");
     let translation = &gltf(&bytes).0["nodes"][0]["translation"];
     assert_eq!(*translation, serde_json::json!([512_352.0, 5_412_352.0, -64.0]));
+}
+
+#[test]
+fn a_scale_is_in_a_plys_vertices_and_measures_and_in_a_gltfs_node() {
+    let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
+    let by = Normalisation { offset, scale: 0.0625, left_out: true };
+    let far = of(&ball(by), &cameras(&directions(16), by), Detail::default()).expect("a mesh");
+    let (mut bytes, placement) = (Vec::new(), Placement { scale: 0.5 });
+    write_ply(&far, placement, &mut bytes).expect("written");
+    let end = b"end_header\n";
+    let body = bytes.windows(end.len()).position(|word| word == end).expect("an end") + end.len();
+    let header = std::str::from_utf8(&bytes[..body]).expect("text");
+    assert!(header.contains("comment fled: add 256176 -2706176 32 to x y z"), "{header}");
+    let facts = Facts { voxel: far.facts.voxel / 2.0, ..far.facts };
+    assert!(header.contains(&format!("comment {facts}\n")), "{header}");
+    let [x, y, z] = [0, 4, 8].map(|at| floats(&bytes[body + at..][..4])[0]);
+    assert_eq!(Vec3::new(x, y, z), 0.5 * far.positions[0]);
+    bytes.clear();
+    write_gltf(&far, placement, &mut bytes).expect("written");
+    let (document, buffer) = gltf(&bytes);
+    assert_eq!(floats(&buffer[..4]), [far.positions[0].x]);
+    let node = &document["nodes"][0];
+    assert_eq!(node["translation"], serde_json::json!([256_176.0, 2_706_176.0, -32.0]));
+    assert_eq!(node["scale"], serde_json::json!([0.5, 0.5, 0.5]));
 }
 
 /// The JSON of a binary glTF and its buffer.
@@ -185,7 +210,7 @@ fn floats(bytes: &[u8]) -> Vec<f32> {
 fn a_gltf_holds_the_mesh_with_y_up() {
     let mesh = meshed(Detail { triangles: Some(500), voxel: None });
     let mut bytes = Vec::new();
-    write_gltf(&mesh, &mut bytes).expect("written");
+    write_gltf(&mesh, Placement::default(), &mut bytes).expect("written");
     let (document, buffer) = gltf(&bytes);
     let (count, corners) = (mesh.positions.len(), 3 * mesh.triangles.len());
     let [at, normals, colours, indices] =
@@ -212,7 +237,7 @@ fn a_gltf_holds_the_mesh_with_y_up() {
 fn a_ply_holds_the_mesh_and_its_measures() {
     let mesh = meshed(Detail { triangles: Some(500), voxel: None });
     let mut bytes = Vec::new();
-    write_ply(&mesh, &mut bytes).expect("written");
+    write_ply(&mesh, Placement::default(), &mut bytes).expect("written");
     let end = b"end_header\n";
     let body = bytes.windows(end.len()).position(|word| word == end).expect("an end") + end.len();
     let header = std::str::from_utf8(&bytes[..body]).expect("text");

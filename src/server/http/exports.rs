@@ -56,6 +56,9 @@ pub struct DownloadQuery {
     /// Degree of a scene's harmonics: they are cut, or padded with zeros.
     #[param(minimum = 0, maximum = 3)]
     sh_degree: Option<u32>,
+    /// Multiplies all lengths, for example by the metres of a unit of the poses' world: in the node
+    /// of `scene.glb`, `scene.usda` and `mesh.glb`, elsewhere in the coordinates themselves.
+    scale: Option<f64>,
     /// Most triangles of a mesh: its voxels grow until it has no more; 200,000 by default, or any
     /// number with `voxel`.
     triangles: Option<usize>,
@@ -77,12 +80,14 @@ impl DownloadQuery {
             let fault = format!("`sh_degree` must be from 0 to {MOST_SH_DEGREE}");
             return Err(refused("sh_degree", fault));
         }
+        let scale = self.scale.map(Trim::scale).transpose();
+        let scale = scale.map_err(|fault| refused("scale", format!("`scale` {fault}")))?;
         let triangles = self.triangles.map(Detail::triangles).transpose();
         let triangles =
             triangles.map_err(|fault| refused("triangles", format!("`triangles` {fault}")))?;
         let voxel = self.voxel.map(Detail::voxel).transpose();
         let voxel = voxel.map_err(|fault| refused("voxel", format!("`voxel` {fault}")))?;
-        Ok(Trim { crop, sh_degree: self.sh_degree, mesh: Detail { triangles, voxel } })
+        Ok(Trim { crop, sh_degree: self.sh_degree, scale, mesh: Detail { triangles, voxel } })
     }
 
     /// The arguments of `fled export`.
@@ -93,6 +98,7 @@ impl DownloadQuery {
         };
         add("round", self.round.map(|round| round.to_string()));
         add("crop", self.crop.clone());
+        add("scale", self.scale.map(|scale| scale.to_string()));
         add("triangles", self.triangles.map(|triangles| triangles.to_string()));
         add("voxel", self.voxel.map(|voxel| voxel.to_string()));
         arguments
@@ -108,7 +114,7 @@ pub struct ExportForm {
     about: &'static str,
     /// Approximate size, bytes.
     bytes: u64,
-    /// Whether it holds the scene or a mesh of it, so that `crop` applies.
+    /// Whether it holds the scene or a mesh of it, so that `crop` and `scale` apply.
     has_scene: bool,
 }
 
@@ -163,7 +169,7 @@ pub async fn list(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
         (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "`crop`, `sh_degree`, `triangles` or `voxel` cannot be used, this export has no scene, or a mesh takes too much time or memory (`too_large`)", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "`crop`, `sh_degree`, `scale`, `triangles` or `voxel` cannot be used, this export has no scene, or a mesh takes too much time or memory (`too_large`)", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many files are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,

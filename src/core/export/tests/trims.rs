@@ -81,6 +81,46 @@ fn harmonics_are_padded_and_cut() {
 }
 
 #[test]
+fn a_scale_multiplies_all_lengths_after_the_crop() {
+    let (_folder, run) = result();
+    let scaled = Trim { scale: Some(2.5), ..crop("box:1,2,3,0.1,0.1,0.1") };
+    let Scene { gaussians, normalisation } = read(&run, scaled);
+    let place = normalisation.point_in_world(DVec3::from(gaussians.means[0].map(f64::from)));
+    assert!(gaussians.len() == 1 && place.abs_diff_eq(DVec3::new(2.5, 5.0, 7.5), 1e-6), "{place}");
+    let size = f64::from(gaussians.log_scales[0][1]).exp() / normalisation.scale;
+    assert!((size - 2.5 * (-2f64).exp()).abs() < 1e-6, "{size}");
+    let file = fs::read(run.root().join("trimmed.ply")).expect("read");
+    let row: Vec<f32> = file[file.len() - 68..]
+        .as_chunks()
+        .0
+        .iter()
+        .map(|four| f32::from_le_bytes(*four))
+        .collect();
+    assert_eq!(row[..3], [2.5, 5.0, 7.5], "what other programs read");
+    for export in SCENES {
+        let [one, large] = [None, Some(2.5)]
+            .map(|scale| trimmed(export, &run, None, Trim { scale, ..Trim::default() }));
+        assert!(one != large, "{}", export.name());
+    }
+}
+
+#[test]
+fn a_scale_that_is_none_says_what_is_wrong() {
+    assert_eq!(Trim::scale(0.25), Ok(0.25));
+    for wrong in [0.0, -2.0, f64::NAN, f64::INFINITY] {
+        let fault = Trim::scale(wrong).expect_err("no scale");
+        assert_eq!(fault, format!("must be a positive number, not {wrong}"));
+    }
+    let (_folder, run) = result();
+    let scaled = Trim { scale: Some(2.5), ..Trim::default() };
+    for export in Export::ALL {
+        let fault = export.prepare(&run, None, scaled).err().map(|error| error.to_string());
+        assert_eq!(fault.is_none(), export.has_scene(), "{fault:?}");
+        assert!(fault.is_none_or(|fault| fault.contains("crop, scale and degree")));
+    }
+}
+
+#[test]
 fn what_cannot_be_trimmed_says_why() {
     let (_folder, run) = result();
     let nothing = crop("box:-5,0,0,1,1,1");

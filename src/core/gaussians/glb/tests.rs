@@ -43,7 +43,7 @@ fn numbers(document: &Value, buffer: &[u8], semantic: &str) -> Vec<f32> {
 fn written(gaussians: &Gaussians, normalisation: Normalisation) -> Vec<u8> {
     let mut bytes = Vec::new();
     let scene = Scene { gaussians: gaussians.clone(), normalisation };
-    write_to(&scene, &mut bytes).expect("written");
+    write_to(&scene, Placement::default(), &mut bytes).expect("written");
     bytes
 }
 
@@ -105,12 +105,29 @@ fn the_node_carries_the_offset_that_positions_lack() {
 }
 
 #[test]
+fn the_node_carries_a_scale_that_multiplies_the_offset_too() {
+    let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
+    let normalisation = Normalisation { offset, scale: 0.0625, left_out: true };
+    let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation };
+    let [one, large] = [1.0, 2.5].map(|scale| {
+        let mut bytes = Vec::new();
+        write_to(&scene, Placement { scale }, &mut bytes).expect("written");
+        bytes
+    });
+    let ((one, own), (large, placed)) = (parsed(&one), parsed(&large));
+    assert!(own == placed, "the coordinates stay");
+    assert_eq!(one["nodes"][0]["scale"], Value::Null);
+    assert_eq!(large["nodes"][0]["scale"], json!([2.5, 2.5, 2.5]));
+    assert_eq!(large["nodes"][0]["translation"], json!([1_280_880.0, 13_530_880.0, -160.0]));
+}
+
+#[test]
 fn non_finite_gaussians_are_left_out_and_an_empty_scene_is_refused() {
     let mut scene = scattered(3, 1.0, 1);
     scene.means[1][2] = f32::NAN;
     let bytes = written(&scene, Normalisation::default());
     assert_eq!(parsed(&bytes).0["accessors"][0]["count"], 2);
     let empty = Scene { gaussians: scene.select(&[1]), normalisation: Normalisation::default() };
-    let error = write_to(&empty, &mut Vec::new()).expect_err("empty");
+    let error = write_to(&empty, Placement::default(), &mut Vec::new()).expect_err("empty");
     assert!(error.to_string().contains("without Gaussians"), "{error}");
 }

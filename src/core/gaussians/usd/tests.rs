@@ -7,7 +7,7 @@ use crate::camera::normalisation::Normalisation;
 fn written(gaussians: &Gaussians, normalisation: Normalisation) -> String {
     let mut bytes = Vec::new();
     let scene = Scene { gaussians: gaussians.clone(), normalisation };
-    write_to(&scene, &mut bytes).expect("written");
+    write_to(&scene, Placement::default(), &mut bytes).expect("written");
     String::from_utf8(bytes).expect("text")
 }
 
@@ -69,6 +69,24 @@ fn the_prim_above_carries_the_offset_that_positions_lack() {
         let world = scene.means[0][0] * 16.0 + if left_out { 0.0 } else { 512_352.0 };
         assert!((x - world).abs() < 0.04, "{x} {world}");
     }
+}
+
+#[test]
+fn the_prim_above_carries_a_scale_that_multiplies_the_offset_too() {
+    let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
+    let normalisation = Normalisation { offset, scale: 0.0625, left_out: true };
+    let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation };
+    let mut bytes = Vec::new();
+    write_to(&scene, Placement { scale: 2.5 }, &mut bytes).expect("written");
+    let text = String::from_utf8(bytes).expect("text");
+    let node = "    double3 xformOp:translate = (1280880,13530880,-160)\n    double3 \
+                xformOp:scale = (2.5,2.5,2.5)\n    uniform token[] xformOpOrder = \
+                [\"xformOp:translate\", \"xformOp:scale\"]\n";
+    assert!(text.contains(node) && text.contains("A unit of the world of the poses is 2.5 m."));
+    assert_eq!(
+        numbers(&text, "positions"),
+        numbers(&written(&scene.gaussians, normalisation), "positions")
+    );
 }
 
 #[test]

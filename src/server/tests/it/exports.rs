@@ -84,7 +84,17 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
     let whole = body("");
     assert!(body("?crop=box:0,0,0,1,1,1") < whole / 2);
     assert!(body("?crop=sphere:0,0,0,1000&sh_degree=3") > 3 * whole);
+    let first = |query: &str| {
+        let body = get(query).expect(200).body;
+        let end = b"end_header\n";
+        let at = body.windows(end.len()).position(|w| w == end).expect("a header") + end.len();
+        f32::from_le_bytes(body[at..][..4].try_into().expect("four"))
+    };
+    assert!((first("?scale=2.5") - 2.5 * first("")).abs() < 1e-5 && first("") != 0.0);
     for (query, pointer, fault) in [
+        ("scale=0", "/scale", "`scale` must be a positive number, not 0"),
+        ("scale=inf", "/scale", "`scale` must be a number"),
+        ("scale=x", "/scale", "`scale` must be a number"),
         ("crop=box:0,0,0,1,1", "/crop", "must be box:X,Y,Z"),
         ("crop=sphere:0,0,0,-1", "/crop", "must be positive"),
         ("crop=sphere:0,0,x,1", "/crop", "`x` is not a number"),
@@ -111,13 +121,14 @@ fn a_mesh_is_made_by_a_process_with_limits() {
         server.get(&format!("/v1/jobs/{job}/exports/mesh.ply{query}"), &[])
     };
     let server = Server::start();
-    let made = make(&server, "?crop=sphere:0,0,0,1000&triangles=5000&voxel=0.25").expect(200);
+    let query = "?crop=sphere:0,0,0,1000&scale=2.5&triangles=5000&voxel=0.25";
+    let made = make(&server, query).expect(200);
     assert_eq!(made.header("content-disposition"), "attachment; filename=\"mesh.ply\"");
     let words = made.text();
     let words: Vec<&str> = words.lines().skip(1).collect();
     let memory = format!("{}", 3_u64 << 30);
-    let expected =
-        ["mesh.ply", "--crop=sphere:0,0,0,1000", "--triangles=5000", "--voxel=0.25", "--memory"];
+    let [crop, scale] = ["--crop=sphere:0,0,0,1000", "--scale=2.5"];
+    let expected = ["mesh.ply", crop, scale, "--triangles=5000", "--voxel=0.25", "--memory"];
     assert_eq!(words, [&expected[..], &[&memory]].concat());
     for (query, pointer) in [("triangles=3", "/triangles"), ("voxel=-1", "/voxel")] {
         let refused = make(&server, &format!("?{query}")).expect(422).json();

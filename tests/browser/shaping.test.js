@@ -1,4 +1,5 @@
-// A crop drawn in the 3D view, by pointer, keys and touch, and the exports that it shapes.
+// A crop and a scale drawn in the 3D view, by pointer, keys and touch, and the exports that they
+// shape.
 
 import assert from "node:assert/strict";
 import { readFileSync, writeFileSync } from "node:fs";
@@ -87,6 +88,24 @@ async function isOnWall(page, point, [x, y]) {
   near(at(camera.fy, down / ahead, camera.cy, camera.height, height), y, 1, "down the picture");
 }
 
+/** Where the wall is at this place of the picture in CSS px. */
+async function wallAt(page, [x, y]) {
+  const { width, height } = await frame(page).boundingBox();
+  const scale = Math.min(width / camera.width, height / camera.height);
+  const slope = (at, length, side, principal, focal) =>
+    ((at - length / 2) / scale + side / 2 - principal) / focal;
+  const slopes = [slope(x, width, camera.width, camera.cx, camera.fx),
+    slope(y, height, camera.height, camera.cy, camera.fy), 1];
+  const { axes, eye } = poseOf(camera);
+  const way = [0, 1, 2].map((k) => axes.reduce((sum, axis, i) => sum + slopes[i] * axis[k], 0));
+  const along = (vector) => vector.reduce((sum, value, k) => sum + value * wall.normal[k], 0);
+  const far = along(wall.centre.map((value, k) => value - eye[k])) / along(way);
+  return eye.map((value, k) => value + far * way[k]);
+}
+
+const picked = (page) => until("it is picked", async () =>
+  !(await frame(page).getAttribute("class")).includes("aiming"));
+
 const exported = async (page, name) => {
   const section = await unfolded(page, "Export");
   const link = section.getByRole("link", { name, exact: true });
@@ -121,11 +140,12 @@ for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height"
       await select(page).selectOption(shape);
       await place(page).click();
       await said(page, "Choose the middle of the crop: click its surface");
-      assert.deepEqual(await page.locator(".thumb span:visible").allInnerTexts(), ["Choose the middle of the crop"]);
+      const hints = await page.locator(".thumb span:visible").allInnerTexts();
+      assert.deepEqual(hints, ["Choose the middle of the crop"]);
       const { width, height } = await frame(page).boundingBox();
       const at = [Math.round(0.42 * width), Math.round(0.55 * height)];
       await frame(page).click({ position: { x: at[0], y: at[1] } });
-      await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+      await picked(page);
       await settled(page);
       await isOnWall(page, await middle(page), at);
       for (const [k, name] of sizes.entries()) {
@@ -152,7 +172,8 @@ for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height"
       assert.ok(found.every(({ text }, i) => text === kept[i].text), "exactly these");
 
       // The exported scene by itself gives the same picture.
-      await page.route("**/artifacts/**/scene.ply", (route) => route.fulfill({ body: Buffer.from(bytes) }));
+      await page.route("**/artifacts/**/scene.ply", (route) =>
+        route.fulfill({ body: Buffer.from(bytes) }));
       await page.getByRole("button", { name: "Close the 3D view" }).click();
       await page.getByRole("button", { name: "Export everything" }).click();
       await page.getByRole("button", { name: /Walk through the scene/ }).click();
@@ -173,9 +194,10 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     const notice = section.getByRole("status");
     assert.equal(await notice.isVisible(), false);
     await select(page).selectOption("box");
-    await notice.getByText("Scenes and meshes are cropped to the box drawn in the 3D view.").waitFor();
-    assert.deepEqual(await cropped(), ["scene.ply", "scene.compressed.ply", "scene.glb", "scene.usda",
-      "scene.v3.spz", "scene.spz", "scene.sog", "mesh.ply", "mesh.glb"]);
+    await notice.getByText("cropped to the box drawn in the 3D view.").waitFor();
+    const all = ["ply", "compressed.ply", "glb", "usda", "v3.spz", "spz", "sog"];
+    assert.deepEqual(await cropped(),
+      [...all.map((end) => `scene.${end}`), "mesh.ply", "mesh.glb"]);
     await section.locator("li", { hasText: "scene.glb" }).getByText(/^at most/).waitFor();
     await picture(page, "page-crop-links");
     const whole = await shown(page);
@@ -200,7 +222,7 @@ test("by keys alone a crop is chosen, placed in the middle of the picture, moved
     assert.equal(await shown(page), before, "all of the scene is shown meanwhile");
     await picture(page, "page-crop-aiming");
     await page.keyboard.press("Enter");
-    await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+    await picked(page);
     const { width, height } = await frame(page).boundingBox();
     const placed = await middle(page);
     await isOnWall(page, placed, [width / 2, height / 2]);
@@ -230,7 +252,7 @@ test("a tap places it on a phone, and a place without a surface is refused", () 
     const { width, height } = await frame(page).boundingBox();
     const at = [Math.round(0.6 * width), Math.round(0.4 * height)];
     await frame(page).tap({ position: { x: at[0], y: at[1] } });
-    await until("it is placed", async () => !(await frame(page).getAttribute("class")).includes("aiming"));
+    await picked(page);
     await isOnWall(page, await middle(page), at);
     await settled(page);
     await picture(page, "page-crop-phone");
@@ -243,3 +265,92 @@ test("a tap places it on a phone, and a place without a surface is refused", () 
     await said(page, "There is no surface at that place");
     assert.deepEqual(await middle(page), placed);
   }, PHONE, { hasTouch: true, isMobile: true }));
+
+const measure = (page) => page.getByRole("button", { name: "Measure", exact: true });
+const metres = (page) => page.getByLabel("Their distance in metres");
+const ruler = (page) => page.getByRole("group", { name: "Ruler" });
+/** The measured distance. */
+const unitsOf = async (page) => Number((await ruler(page).innerText()).match(/([\d.]+) units/)[1]);
+
+for (const [name, size, further, act] of [
+  ["desktop", SIZE, {}, "click"], ["phone", PHONE, { hasTouch: true, isMobile: true }, "tap"],
+]) {
+  test(`on a ${name} two points are measured, and their metres scale the exports`, () =>
+    opened(`scale-${name}`, async (page) => {
+      await measure(page)[act]();
+      const { width, height } = await frame(page).boundingBox();
+      const places = [[0.3, 0.35], [0.75, 0.6]]
+        .map(([x, y]) => [Math.round(x * width), Math.round(y * height)]);
+      for (const [i, [x, y]] of places.entries()) {
+        await said(page, ["Choose the first point", "Choose the second point"][i]);
+        await frame(page)[act]({ position: { x, y } });
+      }
+      await picked(page);
+      await said(page, "Gaussians");
+      const [a, b] = await Promise.all(places.map((at) => wallAt(page, at)));
+      const units = Math.hypot(...a.map((value, k) => value - b[k]));
+      const shownUnits = await unitsOf(page);
+      near(shownUnits, units, 0.01 * units, "their distance");
+      await metres(page).fill("1.2");
+      await ruler(page).getByText(/1 unit is [\d.]+ m/).waitFor();
+      await picture(page, `page-scale-${name}`);
+      const whole = `${server.base}/v1/jobs/${id}/exports/scene.ply`;
+      const scaled = await exported(page, "scene.ply");
+      const scale = Number(scaled.searchParams.get("scale"));
+      near(scale * shownUnits, 1.2, 0.001, "metres");
+      const [one, large] = await Promise.all([whole, scaled].map(async (address) =>
+        rowsOf(new Uint8Array(await (await fetch(address)).arrayBuffer()))));
+      assert.equal(one.length, large.length);
+      for (const [i, { place: at }] of large.entries()) {
+        at.forEach((value, k) => near(value, scale * one[i].place[k], 1e-5, `Gaussian ${i}`));
+      }
+      const section = await unfolded(page, "Export");
+      await section.getByText(`Lengths in scenes and meshes are in metres: 1 unit is ${scale} m`).waitFor();
+      assert.equal((await exported(page, "colmap.zip")).search, "");
+      assert.equal((await exported(page, "mesh.glb")).search, `?scale=${scale}`);
+      await section.getByRole("button", { name: "Export as it is" }).click();
+      assert.equal((await exported(page, "scene.ply")).search, "");
+      assert.equal(await metres(page).inputValue(), "");
+    }, size, further));
+}
+
+test("by keys alone two points are measured, and a length that is none is refused", () =>
+  opened("scale-keys", async (page) => {
+    await measure(page).focus();
+    await page.keyboard.press("Enter");
+    await said(page, "Choose the first point");
+    await page.keyboard.press("Enter");
+    await said(page, "Choose the second point");
+    await page.keyboard.press("ArrowLeft", { delay: 200 });
+    await settled(page);
+    await page.keyboard.press("Enter");
+    await picked(page);
+    await until("the length is asked for", () =>
+      metres(page).evaluate((one) => one === document.activeElement));
+    for (const wrong of ["0", "-3"]) {
+      await metres(page).fill(wrong);
+      await ruler(page).getByText("must be a positive number").waitFor();
+      assert.equal((await exported(page, "scene.glb")).search, "");
+    }
+    await metres(page).fill("0.5");
+    await ruler(page).getByText(/1 unit is/).waitFor();
+    const { search } = await exported(page, "scene.glb");
+    assert.match(search, /^\?scale=0\.\d+$|^\?scale=\d+\.\d+$/);
+    // Another measurement is in metres.
+    await measure(page).focus();
+    await page.keyboard.press("Enter");
+    await said(page, "Choose the first point");
+    await page.keyboard.press("Enter");
+    await said(page, "Choose the second point");
+    await page.keyboard.press("ArrowRight", { delay: 100 });
+    await settled(page);
+    await page.keyboard.press("Enter");
+    await picked(page);
+    await until("it is in metres", async () => Number(await metres(page).inputValue()) > 0);
+    const units = await unitsOf(page);
+    near(Number(await metres(page).inputValue()), units * Number(search.slice(7)), 0.002, "metres");
+    assert.equal((await exported(page, "scene.glb")).search, search);
+    await ruler(page).getByRole("button", { name: "Clear" }).click();
+    assert.equal(await ruler(page).isVisible(), false);
+    assert.equal((await exported(page, "scene.glb")).search, "");
+  }));
