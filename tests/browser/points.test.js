@@ -26,7 +26,7 @@ both("cameras and sparse points are shown before a scene is trained", async (wid
       await until("points are drawn", async () => (await drawn(points)) > 0.003);
       assert.ok((await drawn(lines)) > 0.002, "the cameras");
       assert.equal(await root.getByLabel("Cameras", { exact: true }).isChecked(), true);
-      assert.equal(await root.getByRole("button", { name: /as a PNG/ }).isVisible(), false);
+      assert.equal(await root.getByRole("button", { name: /^Save PNG/ }).isVisible(), false);
       assert.equal(await root.getByRole("slider", { name: "round" }).isVisible(), false);
       await picture(page, `page-points-${width}`);
       await root.getByRole("button", { name: "Next photograph" }).click();

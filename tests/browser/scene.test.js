@@ -74,7 +74,7 @@ const shown = (page) => page.locator(".frame canvas").first().evaluate((canvas) 
 
 /** The same view rendered by the server, as a PNG, by the page's own button. */
 async function rendered(page) {
-  const asks = button(page, /^Save this view as a PNG/).click();
+  const asks = button(page, /^Save PNG/).click();
   const [download] = await Promise.all([page.waitForEvent("download"), asks]);
   return readFileSync(await download.path()).toString("base64");
 }
@@ -208,7 +208,7 @@ test("portrait photographs fill the frame, and a saved picture is named by job a
     const [inner, outer] = [await frame(page).boundingBox(), await page.locator(".band").boundingBox()];
     assert.ok(inner.width > outer.width - 2 && inner.width > inner.height, `${inner.width} of ${outer.width} px`);
     const save = async () => {
-      const asks = button(page, /^Save this view as a PNG/).click();
+      const asks = button(page, /^Save PNG/).click();
       return (await Promise.all([page.waitForEvent("download"), asks]))[0].suggestedFilename();
     };
     assert.match(await save(), new RegExp(`^a-scene-00${start}-round-[12]\\.png$`));

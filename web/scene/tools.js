@@ -32,7 +32,7 @@ export function sceneTools(cameras, stage, isBest, further, does) {
     picture.disabled = true;
     await does.picture();
     picture.disabled = false;
-  }, "Save this view as a PNG, rendered by the server");
+  }, "Save PNG of this view, rendered by the server");
   const full = press("Full screen", () => wide(stage));
   full.hidden = !document.fullscreenEnabled;
   const root = h("div", { class: "controls" },
