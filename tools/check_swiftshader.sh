@@ -12,7 +12,7 @@ fi
 fled=$(realpath "${FLED:-${CARGO_TARGET_DIR:-target}/release/fled}")
 export VK_DRIVER_FILES=$driver
 
-"${CARGO:-cargo}" test --release --locked --quiet --workspace --lib -- splat::
+"${CARGO:-cargo}" test --release --locked --quiet --workspace --lib -- splat:: shake:: reconstruct::{loss,optimizer}
 "$fled" doctor --adapter swiftshader >/dev/null
 
 folder=$(mktemp -d)

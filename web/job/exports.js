@@ -15,8 +15,13 @@ export async function exportList(base, shaping) {
   const notice = h("div", { class: "notices shaped", role: "status" });
   const list = h("ul", { class: "exports bare" }, rows.map((one) => one.root));
   const root = h("div", {}, notice, list);
+  let said = "";
   const show = () => {
-    notice.replaceChildren(...notices(shaping));
+    const now = notices(shaping);
+    const words = now.map((line) => line.textContent).join();
+    // What has not changed need not be read out again.
+    if (words !== said) notice.replaceChildren(...now);
+    said = words;
     notice.hidden = notice.childElementCount === 0;
     for (const one of rows) one.show(shaping.now);
   };
@@ -52,6 +57,7 @@ function notices(shaping) {
     crop && line(`Scenes and meshes are cropped to the ${crop.shape} drawn in the 3D view.`,
       "Export everything", { crop: null }),
     scale !== null && line("Lengths in scenes and meshes are in metres: "
-      + `1 unit is ${scale} m, as measured in the 3D view.`, "Export as it is", { scale: null }),
+      + `1 unit is ${scale} m, as measured in the 3D view. Cameras and the COLMAP model keep their `
+      + "units.", "Export as it is", { scale: null }),
   ].filter(Boolean);
 }

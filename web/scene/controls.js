@@ -88,7 +88,7 @@ export function controls(frame, camera) {
   on("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape" && !camera.escaped()) frame.blur();
-    if (event.key === "Enter" && event.target === frame) camera.entered();
+    if (event.key === "Enter" && !event.repeat && event.target === frame) camera.entered();
     if (!isMoving(event.code)) return;
     event.preventDefault();
     keys.add(event.code);

@@ -13,10 +13,13 @@ const LINE = ["#ff8fd0", 1.8];
 const CROSS = 0.015;
 const AIMS = ["Choose the first point", "Choose the second point"];
 
-/** Metres of a unit in which `units` are `metres`; `null` if that is no positive number. */
+/** The scales that exports take. */
+const LIMITS = [1e-6, 1e6];
+
+/** Metres of a unit in which `units` are `metres`; `null` if that is no scale for exports. */
 export function scaleOf(metres, units) {
   const scale = Number((metres / units).toPrecision(EXACT));
-  return scale > 0 && Number.isFinite(scale) ? scale : null;
+  return scale >= LIMITS[0] && scale <= LIMITS[1] ? scale : null;
 }
 
 /**
@@ -47,14 +50,20 @@ export function ruler(shaping, { radius }, world, ask, changed) {
     apart, known, unit, clear);
 
   async function measure() {
-    points = [];
+    const mine = [];
+    points = mine;
     for (const asked of AIMS) {
       show();
       const point = await ask(asked, true);
-      points = point ? [...points, point] : [];
+      // Cleared or begun anew meanwhile.
+      if (points !== mine) return;
+      if (point) mine.push(point);
+      else points = [];
       changed();
       if (!point) break;
     }
+    // A double click.
+    if (points.length === 2 && units() === 0) points = [];
     show();
     if (points.length === 2) metres.focus({ preventScroll: true });
   }

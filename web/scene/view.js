@@ -44,6 +44,7 @@ const LOST = "The graphics adapter dropped the picture, as can happen when it is
 /** How to pick a point, after what it is for. */
 const PICKING = "click its surface, or turn the view and press Enter to take what is in the middle "
   + "of the picture. Escape cancels.";
+const TAPPING = "tap its surface. The same button cancels.";
 const NOTHING = "There is no surface at that place";
 
 /**
@@ -269,10 +270,13 @@ class View {
 
   /**
    * Asks the user to pick `what`, a point of a surface of the whole scene or, with `isCropped`, of
-   * what is inside the crop. The promise is of a drawn point, or of `null` if it is given up.
+   * what is inside the crop. The promise is of a drawn point, or of `null` if it is given up, as by
+   * asking for the same again.
    */
   #ask = (what, isCropped = false) => new Promise((took) => {
-    this.#aim?.took(null);
+    const isSame = this.#aim?.what === what;
+    if (this.#aim) this.#took(null);
+    if (isSame) { took(null); return; }
     this.#aim = { took, isCropped, what };
     this.frame.classList.add("aiming");
     this.#point(what);
@@ -283,7 +287,7 @@ class View {
   /** Says what is to be picked, in the picture and below it. */
   #point(words) {
     this.aimed.textContent = words;
-    this.tools.say(`${words}: ${PICKING}`);
+    this.tools.say(`${words}: ${matchMedia("(pointer: coarse)").matches ? TAPPING : PICKING}`);
   }
 
   /** Looks for the surface at a pixel of the canvas. */

@@ -35,8 +35,8 @@ pub enum ExportError {
     },
     /// A format without a scene cannot be trimmed.
     #[error(
-        "{0} holds no scene: crop, scale and degree of the harmonics are for scene.ply, scene.glb \
-         and the like"
+        "{0} holds no scene: crop, scale and degree of the harmonics are for scenes and meshes, \
+         such as scene.ply and mesh.glb"
     )]
     NotTrimmed(&'static str),
     /// A mesh has no harmonics.

@@ -12,6 +12,9 @@ use crate::mesh::Detail;
 /// Highest degree of the harmonics.
 pub const MOST_SH_DEGREE: u32 = 3;
 
+/// Least and largest scale: beyond them 32-bit numbers do not hold a scene.
+pub const SCALE_LIMITS: [f64; 2] = [1e-6, 1e6];
+
 /// How an export differs from the scene; by default it does not.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Trim {
@@ -29,12 +32,13 @@ impl Trim {
     /// Checks a scale.
     ///
     /// # Errors
-    /// The rest of a sentence if it is not positive and finite.
+    /// The rest of a sentence if it is outside [`SCALE_LIMITS`].
     pub fn scale(wanted: f64) -> Result<f64, String> {
-        if wanted > 0.0 && wanted.is_finite() {
+        let [least, most] = SCALE_LIMITS;
+        if (least..=most).contains(&wanted) {
             return Ok(wanted);
         }
-        Err(format!("must be a positive number, not {wanted}"))
+        Err(format!("must be from {least} to {most}, not {wanted}"))
     }
 
     /// Whether it changes nothing of the scene.

@@ -14,7 +14,8 @@ const LEAST_CAP: usize = 10_000;
 /// told why, in a sentence for users, and returns that checkpoint, if there is one.
 ///
 /// # Errors
-/// Those of `attempt`; [`GpuError::OutOfMemory`] if fewer Gaussians are of no help.
+/// Those of `attempt`; [`GpuError::OutOfMemory`] or [`GpuError::TooLarge`] if fewer Gaussians are
+/// of no help.
 pub fn within_memory(
     device: &Device,
     start: TrainStart,
@@ -22,26 +23,35 @@ pub fn within_memory(
     attempt: &mut dyn FnMut(TrainStart, &TrainConfig) -> Result<Trained, ReconstructError>,
     resume: &mut dyn FnMut(String) -> Option<Checkpoint>,
 ) -> Result<Trained, ReconstructError> {
-    // A processor reports no lack of memory.
-    let spare = matches!(device, Device::Gpu(_)).then(|| start.clone());
+    // A processor reports no lack of memory, and a resumed round has its checkpoint.
+    let spare = match (device, &start) {
+        (Device::Gpu(_), TrainStart::Fresh(gaussians)) => Some(gaussians.clone()),
+        _ => None,
+    };
     let mut next = start;
     loop {
         let error = match attempt(next, config) {
-            Err(ReconstructError::Gpu(error @ GpuError::OutOfMemory { .. })) => error,
+            Err(ReconstructError::Gpu(
+                error @ (GpuError::OutOfMemory { .. } | GpuError::TooLarge { .. }),
+            )) => error,
             outcome => return outcome,
         };
         // A fault that lasts is reported here.
         device.wait()?;
         let fewer = config.cap / 2;
-        let Some(spare) = spare.as_ref().filter(|_| fewer >= LEAST_CAP) else {
+        if fewer < LEAST_CAP {
             return Err(error.into());
-        };
+        }
         let why = format!(
             "{error}: training goes on with at most {fewer} Gaussians instead of {}",
             config.cap
         );
         config.cap = fewer;
-        let from = resume(why).map_or_else(|| spare.clone(), TrainStart::Resume);
+        let from = match (resume(why), &spare) {
+            (Some(checkpoint), _) => TrainStart::Resume(checkpoint),
+            (None, Some(gaussians)) => TrainStart::Fresh(gaussians.clone()),
+            (None, None) => return Err(error.into()),
+        };
         next = with_at_most(from, fewer);
     }
 }
@@ -63,6 +73,9 @@ fn with_at_most(start: TrainStart, most: usize) -> TrainStart {
 /// The `most` Gaussians whose opacity times area is largest, in their order.
 fn most_visible(gaussians: &Gaussians, most: usize) -> Vec<usize> {
     let visibility = |i: usize| {
+        if !gaussians.is_usable(i) {
+            return 0.0;
+        }
         let mut scales = gaussians.log_scales[i].map(f64::from);
         scales.sort_by(f64::total_cmp);
         (scales[1] + scales[2]).exp() * gaussians.opacity(i)
@@ -87,5 +100,7 @@ mod tests {
         assert_eq!(most_visible(&scene, 3), [0, 2, 3]);
         assert_eq!(most_visible(&scene, 1), [2]);
         assert_eq!(most_visible(&scene, 9), [0, 1, 2, 3]);
+        scene.means[2][0] = f32::NAN;
+        assert_eq!(most_visible(&scene, 1), [3], "not one that cannot be drawn");
     }
 }

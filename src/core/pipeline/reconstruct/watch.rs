@@ -101,11 +101,24 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// Makes the scores and pictures that are due, and reports them to the event sink.
+    /// Makes the scores and pictures that are due, and reports them to the event sink. Without
+    /// memory for them there are no more: training is the same either way.
     ///
     /// # Errors
-    /// A device error.
+    /// Any other device error.
     pub fn look(&mut self, look: &mut Look<'_>, context: &mut Context<'_>) -> Result<(), GpuError> {
+        let error = match self.show(look, context) {
+            Err(error @ GpuError::OutOfMemory { .. }) => error,
+            outcome => return outcome,
+        };
+        self.pictured = None;
+        self.compared.clear();
+        let message = format!("round {}: no more live feedback: {error}", self.round.number);
+        context.sink.warn("live_picture", message);
+        Ok(())
+    }
+
+    fn show(&mut self, look: &mut Look<'_>, context: &mut Context<'_>) -> Result<(), GpuError> {
         let scored = look.step.is_multiple_of(SCORED) && self.scores.is_due();
         if !self.compared.is_empty() && (scored || look.is_last) {
             let begin = Instant::now();

@@ -92,7 +92,7 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
     };
     assert!((first("?scale=2.5") - 2.5 * first("")).abs() < 1e-5 && first("") != 0.0);
     for (query, pointer, fault) in [
-        ("scale=0", "/scale", "`scale` must be a positive number, not 0"),
+        ("scale=0", "/scale", "`scale` must be from 0.000001 to 1000000, not 0"),
         ("scale=inf", "/scale", "`scale` must be a number"),
         ("scale=x", "/scale", "`scale` must be a number"),
         ("crop=box:0,0,0,1,1", "/crop", "must be box:X,Y,Z"),
