@@ -136,7 +136,6 @@ function isInside(crop, place) {
 for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height", "Depth"]]]) {
   test(`an exported scene has what is inside the drawn ${shape}, and the view shows that`, () =>
     opened(`crop-${shape}`, async (page) => {
-      const whole = await shown(page);
       await select(page).selectOption(shape);
       await place(page).click();
       await said(page, "Choose the middle of the crop: click its surface");
@@ -158,7 +157,6 @@ for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height"
       await settled(page);
       await picture(page, `page-crop-${shape}`);
       const cropped = await shown(page);
-      assert.notEqual(cropped, whole);
 
       const address = await exported(page, "scene.ply");
       const crop = address.searchParams.get("crop");
