@@ -174,7 +174,10 @@ def flat_covariances(scene, camera, points):
 def project(scene, camera, near=NEAR):
     """The splats in front of the near plane."""
     points = scene.means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    order = np.argsort(points[:, 2], kind="stable")
+    # Viewers sort in 32 bits, where a Gaussian and its clone may be equally far: then they stay in order.
+    rotation, translation = (part.astype(np.float32) for part in (camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]))
+    depths = (scene.means.astype(np.float32) @ rotation.T + translation)[:, 2]
+    order = np.argsort(depths, kind="stable")
     order = order[points[order, 2] > near]
     scene = Scene(*(value[order] for value in vars(scene).values()))
     points = points[order]
