@@ -26,8 +26,8 @@ export const PHONE = { width: 360, height: 740 };
 
 export class Browser {
   /**
-   * Starts a browser for the server at `base`. The whole Chromium takes twice the time, for windows
-   * that nobody sees.
+   * Starts a browser for the server at `base`. Full Chromium takes twice the processor time, to draw
+   * windows that nobody sees.
    */
   static async start(base) {
     const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium-headless-shell";

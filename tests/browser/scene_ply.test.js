@@ -69,7 +69,7 @@ test("a world of any size and place is normalised for drawing but not for reques
   // The file also leaves out an offset of its own, which must not affect drawing.
   const [missing, log] = [[512344, 5412352, 312], Math.log(2 * scale)];
   const values = { x: 1.6, y: -6.1, z: -1.8, rot_0: 1, scale_0: log, scale_1: log, scale_2: log };
-  const comments = ["fled: add 512344 5412352 312 to x y z for whole coordinates"];
+  const comments = ["fled: add 512344 5412352 312 to x y z for the full coordinates"];
   const bytes = ply(1, 0, (_, name) => values[name] ?? 0, 1, comments);
   const { geometry } = await readScene(body(bytes), () => {}, world);
   const place = [values.x, values.y, values.z].map((value, k) =>

@@ -228,7 +228,7 @@ test("by keys alone a crop is chosen, placed in the middle of the picture, moved
     await page.keyboard.press("ArrowUp");
     const moved = await middle(page);
     assert.ok(moved[0] > placed[0] && moved[1] === placed[1], `${placed} to ${moved}`);
-    // What is no number changes nothing.
+    // Input that is not a number changes nothing.
     await page.getByLabel("X of the crop's middle").fill("");
     await page.keyboard.press("Tab");
     assert.deepEqual(await middle(page), moved);

@@ -100,7 +100,7 @@ test("a server that cannot make one says what to do", async () => {
 const EXPORTS = [["restored.zip", "PK"], ["linear.zip", "PK"], ["colmap.zip", "PK"], ["transforms.json", "{"], ["cameras.inria.json", "["],
   ["scene.ply", "ply\nformat"], ["scene.compressed.ply", "ply\nformat"], ["scene.glb", "glTF"], ["scene.usda", "#usda 1.0"],
   ["scene.v3.spz", "\x1f\ufffd"], ["scene.spz", "NGSP"], ["scene.sog", "PK"],
-  // Played: the arguments of `fled export`, the first of which is the job's folder.
+  // The fake program writes the arguments of `fled export`; the first is the job's folder.
   ["mesh.ply", "/"], ["mesh.glb", "/"]];
 
 both("exports for other programs are downloaded from the page", async (width) => {

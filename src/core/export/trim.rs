@@ -1,4 +1,4 @@
-//! What an export leaves out of a scene, and its unit.
+//! The part of a scene to export, and its unit of length.
 
 use std::fmt;
 use std::str::FromStr;

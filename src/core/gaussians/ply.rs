@@ -58,7 +58,7 @@ pub(crate) fn offset_comment(by: &Normalisation) -> String {
         return String::new();
     }
     let DVec3 { x, y, z } = by.offset;
-    format!("comment fled: add {x} {y} {z} to x y z for whole coordinates\n")
+    format!("comment fled: add {x} {y} {z} to x y z for the full coordinates\n")
 }
 
 /// Header lines; none if the file is as the scene trained.

@@ -10,8 +10,8 @@ use crate::gaussians::Gaussians;
 const LEAST_CAP: usize = 10_000;
 
 /// Trains with `attempt`. Each time the device runs out of memory, halves the cap of `config` and
-/// goes on from the last checkpoint, with its most visible Gaussians, or from `start`. `resume` is
-/// told why, in a sentence for users, and returns that checkpoint, if there is one.
+/// goes on from the last checkpoint, with its most visible Gaussians, or from `start`. `resume`
+/// receives the reason as a sentence for users and returns that checkpoint, if there is one.
 ///
 /// # Errors
 /// Those of `attempt`; [`GpuError::OutOfMemory`] or [`GpuError::TooLarge`] if fewer Gaussians are

@@ -101,8 +101,8 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// Makes the scores and pictures that are due, and reports them to the event sink. Without
-    /// memory for them there are no more: training is the same either way.
+    /// Makes the scores and pictures that are due, and reports them to the event sink. If memory
+    /// for them runs out, live feedback ends with a warning; training is the same either way.
     ///
     /// # Errors
     /// Any other device error.
