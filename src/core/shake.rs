@@ -11,7 +11,7 @@ mod denoise;
 mod estimate;
 mod kernels;
 mod processor;
-pub mod reference;
+mod reference;
 mod response;
 mod saved;
 
@@ -22,6 +22,7 @@ use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 pub use denoise::denoised;
 pub use estimate::{estimate, estimate_by_cells};
 use kernels::ShakeUniform;
+pub use processor::shaken_image;
 pub use response::Response;
 pub use saved::{parse, save};
 

@@ -59,7 +59,7 @@ fn plane_sum(
     let height = image.len() / width;
     let valid_width = width - TAPS + 1;
     let weights = window();
-    let rows: Vec<Vec<[f64; 5]>> = (0..height)
+    let rows: Vec<[Vec<f64>; 5]> = (0..height)
         .into_par_iter()
         .map(|y| {
             let row = y * width..(y + 1) * width;
@@ -70,9 +70,11 @@ fn plane_sum(
     let sums: Vec<f64> = (0..valid_rows)
         .into_par_iter()
         .map(|y| {
+            let moments: [Vec<f64>; 5] =
+                std::array::from_fn(|n| filtered(&weights, valid_width, |tap| &rows[y + tap][n]));
             (0..valid_width)
                 .filter(|x| counts(x + RADIUS, y + RADIUS))
-                .map(|x| similarity(column_moments(&rows[y..y + TAPS], x, &weights)))
+                .map(|x| similarity(std::array::from_fn(|n| moments[n][x])))
                 .sum::<f64>()
         })
         .collect();
@@ -80,30 +82,26 @@ fn plane_sum(
 }
 
 /// Horizontally filtered x, y, x^2, y^2 and x y of one row's valid part.
-fn row_moments(image: &[f32], reference: &[f32], weights: &[f64; TAPS]) -> Vec<[f64; 5]> {
-    (0..=image.len() - TAPS)
-        .map(|start| {
-            let mut moments = [0.0; 5];
-            for (tap, weight) in weights.iter().enumerate() {
-                let x = f64::from(image[start + tap]).clamp(0.0, 1.0);
-                let y = f64::from(reference[start + tap]);
-                for (moment, value) in moments.iter_mut().zip([x, y, x * x, y * y, x * y]) {
-                    *moment += weight * value;
-                }
-            }
-            moments
-        })
-        .collect()
+fn row_moments(image: &[f32], reference: &[f32], weights: &[f64; TAPS]) -> [Vec<f64>; 5] {
+    let valid = image.len() - TAPS + 1;
+    let x: Vec<f64> = image.iter().map(|&value| f64::from(value).clamp(0.0, 1.0)).collect();
+    let y: Vec<f64> = reference.iter().map(|&value| f64::from(value)).collect();
+    let product =
+        |a: &[f64], b: &[f64]| -> Vec<f64> { a.iter().zip(b).map(|(a, b)| a * b).collect() };
+    let (xx, yy, xy) = (product(&x, &x), product(&y, &y), product(&x, &y));
+    [x, y, xx, yy, xy].map(|values| filtered(weights, valid, |tap| &values[tap..]))
 }
 
-fn column_moments(rows: &[Vec<[f64; 5]>], x: usize, weights: &[f64; TAPS]) -> [f64; 5] {
-    let mut moments = [0.0; 5];
-    for (row, weight) in rows.iter().zip(weights) {
-        for (moment, value) in moments.iter_mut().zip(row[x]) {
-            *moment += weight * value;
+/// The weighted sums of `count` numbers; `at` returns those of a tap. A loop over numbers, not
+/// taps, inside: processors take several of them at once.
+fn filtered<'a>(weights: &[f64; TAPS], count: usize, at: impl Fn(usize) -> &'a [f64]) -> Vec<f64> {
+    let mut sums = vec![0.0; count];
+    for (tap, weight) in weights.iter().enumerate() {
+        for (sum, value) in sums.iter_mut().zip(at(tap)) {
+            *sum += weight * value;
         }
     }
-    moments
+    sums
 }
 
 fn similarity([x, y, xx, yy, xy]: [f64; 5]) -> f64 {

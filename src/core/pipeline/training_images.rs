@@ -129,7 +129,7 @@ pub(super) mod tests {
     use crate::photo_path::PhotoPath;
     use crate::pipeline::config::LutScope;
     use crate::pipeline::tone::Tone;
-    use crate::shake::reference::shaken_image;
+    use crate::shake::shaken_image;
     use crate::shake::{ShakeKernel, Tap};
     use glam::DVec3;
     use rand::{RngExt, SeedableRng};

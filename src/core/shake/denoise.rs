@@ -5,8 +5,7 @@
 //! where they differ by more, deblurring was wrong, and a local Wiener filter keeps the photograph
 //! (Lee, "Digital Image Enhancement and Noise Filtering by Use of Local Statistics", 1980).
 
-use super::reference::shaken_image;
-use super::{Response, estimate};
+use super::{Response, estimate, shaken_image};
 use crate::image::Image;
 use crate::noise_levels::NoiseLevels;
 

@@ -1,7 +1,8 @@
 //! The reference of the shake in `f64`, tap by tap.
 
-use super::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
-use crate::image::Image;
+use super::{Response, ShakeKernel};
+#[cfg(test)]
+use super::{SMOOTH_BEND, SMOOTH_WEIGHT};
 
 /// A view's shake: its image's size in px, its kernel, its response.
 pub struct ReferenceShake<'a> {
@@ -10,15 +11,6 @@ pub struct ReferenceShake<'a> {
     pub kernel: &'a ShakeKernel,
     /// The response from light to values.
     pub response: &'a Response,
-}
-
-/// Applies a view's shake to its render.
-pub fn shaken_image(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
-    let size = [render.width(), render.height()];
-    let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
-    let shake = ReferenceShake { size, kernel, response };
-    let shaken = shake.shaken(&values).into_iter();
-    Image::from_planar(size[0], size[1], shaken.map(|v| v as f32).collect())
 }
 
 impl ReferenceShake<'_> {
@@ -59,7 +51,10 @@ impl ReferenceShake<'_> {
     pub fn shaken(&self, render: &[f64]) -> Vec<f64> {
         self.arrived(render).0.into_iter().map(|light| self.response.value(light)).collect()
     }
+}
 
+#[cfg(test)]
+impl ReferenceShake<'_> {
     /// The derivative by the render of `sum(gradient * shaken(render)) + smooth_weight *
     /// roughness(render)`.
     pub fn gradient(&self, render: &[f64], gradient: &[f64]) -> Vec<f64> {

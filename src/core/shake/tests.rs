@@ -3,7 +3,7 @@ mod processor;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 
-use super::reference::{ReferenceShake, shaken_image};
+use super::reference::ReferenceShake;
 use super::*;
 use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;

@@ -7,8 +7,7 @@ use crate::image::Image;
 use crate::mask::{Mask, counted};
 use crate::metrics;
 use crate::pipeline::views::View;
-use crate::shake::reference::shaken_image;
-use crate::shake::{self, Response};
+use crate::shake::{self, Response, shaken_image};
 
 /// How well a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]

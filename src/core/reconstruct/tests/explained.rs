@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::register::Motion;
-use crate::shake::reference::shaken_image;
+use crate::shake::shaken_image;
 use crate::shake::{ShakeKernel, Tap};
 
 #[test]
