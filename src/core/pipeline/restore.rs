@@ -21,7 +21,7 @@ pub struct Restoration<'a> {
     pub round: u32,
     /// The folder in which results are kept.
     pub kept: KeptImages,
-    /// The views, for names and sizes.
+    /// The views, for names.
     pub views: &'a [View],
     /// The input images of the network.
     pub images: &'a [Image],
@@ -42,7 +42,10 @@ impl Restoration<'_> {
         depends_on: &Dependencies,
     ) -> Result<Vec<Image>, PipelineError> {
         let files = files(context.workspace, self.kept, self.round, self.views);
-        let load = |workspace: &_| kept(workspace, self.kept, self.round, self.views).ok();
+        let load = |_: &Workspace| {
+            let read = |(file, like): (&PathBuf, &Image)| read_planar(file, like).ok();
+            files.iter().zip(self.images).map(read).collect()
+        };
         let make = |context: &mut Context<'_>| {
             let mut restored = Vec::with_capacity(files.len());
             for (index, file) in files.iter().enumerate() {
@@ -87,7 +90,7 @@ pub fn kept(
 ) -> Result<Vec<Image>, PipelineError> {
     let files = files(workspace, kind, round, views);
     let read = |(file, view): (&PathBuf, &View)| {
-        read_planar(file, view).map_err(|error| PipelineError::io(file, error))
+        read_planar(file, &view.dark).map_err(|error| PipelineError::io(file, error))
     };
     files.iter().zip(views).map(read).collect()
 }
@@ -97,9 +100,9 @@ fn files(workspace: &Workspace, kind: KeptImages, round: u32, views: &[View]) ->
     views.iter().map(|view| work.kept(kind, round, &view.name)).collect()
 }
 
-fn read_planar(path: &Path, view: &View) -> io::Result<Image> {
+fn read_planar(path: &Path, like: &Image) -> io::Result<Image> {
     let bytes = std::fs::read(path)?;
-    let (width, height) = (view.dark.width(), view.dark.height());
+    let (width, height) = (like.width(), like.height());
     if bytes.len() != 12 * width * height {
         let message = format!("{} bytes are not {width} x {height} pixels", bytes.len());
         return Err(io::Error::new(io::ErrorKind::InvalidData, message));

@@ -15,7 +15,7 @@ use super::enhance::Brightening;
 use super::error::PipelineError;
 use super::restore::Restoration;
 use super::tools::Tools;
-use super::views::{View, longest_side, masks};
+use super::views::{View, longest_side};
 use crate::cancel::CancelToken;
 use crate::deblur::{NetworkChoice, Restorer};
 use crate::event::Stage;
@@ -30,6 +30,14 @@ use crate::shake::{self, Response};
 const SOFT_FROM: f64 = 0.57;
 /// The share of significantly shaken views from which it is, whatever the others are.
 const SHAKEN_SHARE: f64 = 0.25;
+/// Longest side of the images by which the verdict is found, px. What the network and the kernels
+/// tell apart was measured at this size: of a shake of 12 px, which is 4.4 px here, the network
+/// removes little in images of 1,600 px, and the capture would count as still.
+pub const VERDICT_SIDE: u32 = 560;
+/// Longest side of the working images of a capture that is shaken, but not strongly, px. Its shake
+/// is at most 3 px at [`VERDICT_SIDE`] and so 4.4 px here, the longest that kernels and networks
+/// were measured with.
+const SHAKEN_SIDE: u32 = 820;
 /// Longest side of the working images of a strongly shaken capture, px. Shake leaves no detail for
 /// larger images, but each of their pixels is as noisy: scenes of 560 px are worse at any size
 /// (docs/decisions/shake.md).
@@ -115,9 +123,13 @@ impl Shaken {
 
     /// Longest side of the working images, px.
     pub fn size(&self, options: &Options) -> u32 {
-        let size = self.size_before(options);
-        let chooses = self.is_strong && options.size.is_open();
-        if chooses { size.min(STRONG_SIDE) } else { size }
+        let most = match self.verdict {
+            _ if !options.size.is_open() => u32::MAX,
+            CaptureShake::Still => u32::MAX,
+            CaptureShake::Shaken if self.is_strong => STRONG_SIDE,
+            CaptureShake::Shaken => SHAKEN_SIDE,
+        };
+        self.size_before(options).min(most)
     }
 }
 
@@ -142,18 +154,30 @@ pub fn shaken(
     if !is_needed(options) {
         return Ok(None);
     }
+    let small: Vec<Image>;
+    let images: &[Image] = if longest_side(views) > VERDICT_SIDE {
+        small = brightening.target.par_iter().map(reduced).collect();
+        &small
+    } else {
+        &brightening.target
+    };
     let restoration = Restoration {
         stage: Stage::Deblur,
         round: 0,
         kept: KeptImages::Deblurred,
         views,
-        images: &brightening.target,
+        images,
         guides: None,
     };
     let on = depends_on.round(0, None).deblur;
     let deblurred = restoration.by(tools.deblurrer, context, &on)?;
     let response = &brightening.last().response;
-    let ratios = significances(&brightening.target, &deblurred, &masks(views), response);
+    let sizes = images.iter().map(|image| (image.width(), image.height()));
+    let masks: Vec<Option<Mask>> = { views.iter().zip(sizes) }
+        .map(|(view, (width, height))| Some(view.mask.as_ref()?.resized(width, height)))
+        .collect();
+    let masks: Vec<_> = masks.iter().map(Option::as_ref).collect();
+    let ratios = significances(images, &deblurred, &masks, response);
     let mut shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
     shaken.longest = longest_side(views);
     if shaken.verdict == CaptureShake::Shaken && shaken.longest > STRONG_SIDE {
@@ -174,6 +198,12 @@ pub fn shaken(
     };
     context.sink.log(format!("{found}: {consequence}"));
     Ok(Some(shaken))
+}
+
+/// The image by which a view is judged.
+fn reduced(image: &Image) -> Image {
+    let (width, height) = image.size_at_most(VERDICT_SIDE as usize);
+    image.resize_area(width, height)
 }
 
 /// Whether the shake of a shaken capture is strong, by smaller images: there it stands out of the
@@ -203,7 +233,7 @@ mod tests {
     use super::*;
     use crate::deblur::{DeblurError, RestorerInfo};
     use crate::pipeline::config::Setting;
-    use crate::shake::reference::shaken_image;
+    use crate::shake::shaken_image;
     use crate::shake::{ShakeKernel, Tap};
 
     /// Knows the sharp image.
@@ -235,13 +265,13 @@ mod tests {
     }
 
     #[test]
-    fn only_a_size_left_open_shrinks_with_strong_shake() {
+    fn only_a_size_left_open_shrinks_with_shake() {
         let sizes = |is_strong| {
             let shaken = Shaken { is_strong, ..of(&[1.5]) };
             [Setting::Given(280), Setting::Auto, Setting::Fitted(900), Setting::Given(1120)]
                 .map(|size| shaken.size(&Options { size, ..Options::default() }))
         };
-        assert_eq!(sizes(false), [280, 560, 900, 1120]);
+        assert_eq!(sizes(false), [280, 560, 820, 1120]);
         assert_eq!(sizes(true), [280, 420, 420, 1120]);
         let small = Shaken { longest: 400, is_strong: true, ..of(&[1.5]) };
         assert_eq!(small.size(&Options::default()), 400, "its images stay as they are");
