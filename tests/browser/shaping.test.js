@@ -197,10 +197,15 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     assert.deepEqual(await cropped(),
       [...all.map((end) => `scene.${end}`), "mesh.ply", "mesh.glb"]);
     await section.locator("li", { hasText: "scene.glb" }).getByText(/^at most/).waitFor();
+    const download = page.locator(".summary a[download]");
+    assert.equal(await download.textContent(), "Download cropped scene");
+    const { pathname, search } = new URL(await download.evaluate((link) => link.href));
+    assert.match(pathname + search, /\/exports\/scene\.ply\?crop=box%3A/);
     await picture(page, "page-crop-links");
     const whole = await shown(page);
     await notice.getByRole("button", { name: "Export everything" }).click();
     assert.deepEqual(await cropped(), []);
+    assert.match(await download.evaluate((link) => link.href), /\/artifacts\/scene\.ply$/);
     assert.equal(await notice.isVisible(), false);
     await settled(page);
     assert.equal(await select(page).inputValue(), "");
@@ -306,6 +311,7 @@ for (const [name, size, further, act] of [
       await section.getByText(`Lengths in scenes and meshes are in metres: 1 unit is ${scale} m`).waitFor();
       assert.equal((await exported(page, "colmap.zip")).search, "");
       assert.equal((await exported(page, "mesh.glb")).search, `?scale=${scale}`);
+      await page.getByRole("link", { name: /^Download scene in metres, / }).waitFor();
       await section.getByRole("button", { name: "Export as it is" }).click();
       assert.equal((await exported(page, "scene.ply")).search, "");
       assert.equal(await metres(page).inputValue(), "");

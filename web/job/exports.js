@@ -1,7 +1,7 @@
 // A finished job's result in formats for other programs.
 
 import { api, count, h, size } from "../lib/dom.js";
-import { cropText } from "../lib/shaping.js";
+import { shapingQuery } from "../lib/shaping.js";
 
 /**
  * The export formats of the result, each with its purpose, as the user has shaped them in the
@@ -39,9 +39,7 @@ function row(base, { name, about, bytes, has_scene: hasScene }) {
     root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about)),
     show({ crop, scale }) {
       const isCropped = hasScene && crop !== null;
-      const query = new URLSearchParams(isCropped ? { crop: cropText(crop) } : {});
-      if (hasScene && scale !== null) query.set("scale", scale);
-      link.href = `${base}/exports/${name}${query.size > 0 ? `?${query}` : ""}`;
+      link.href = `${base}/exports/${name}${hasScene ? shapingQuery({ crop, scale }) : ""}`;
       // It is made while being sent.
       weight.textContent = `${isCropped ? "at most" : "about"} ${size(bytes)}`;
     },

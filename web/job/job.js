@@ -155,7 +155,7 @@ export function jobPage(main, who, id) {
     showFiles(artifacts);
     await capture;
     if (gone) return;
-    head.sum(summary(job, report, artifacts, given, share?.root, views.open));
+    head.sum(summary(job, report, artifacts, given, share?.root, views.open, shaping));
     filmed.open(cameras ?? []);
     show(exported, await exportList(base, shaping));
   }

@@ -2,6 +2,7 @@
 
 import { count, h, size } from "../lib/dom.js";
 import { leap } from "../lib/place.js";
+import { shapingQuery } from "../lib/shaping.js";
 import { took } from "../lib/state.js";
 import { done, found, verdict } from "./verdict.js";
 
@@ -15,10 +16,10 @@ const NAMED = 5;
  * @param {number | undefined} given Photographs of its capture, if known.
  * @param {HTMLElement | undefined} share The section that shares it, if any.
  * @param {(name: string) => void} open Shows the pictures of a view.
+ * @param {ReturnType<import("../lib/shaping.js").newShaping>} shaping
  */
-export function summary(job, report, artifacts, given, share, open) {
+export function summary(job, report, artifacts, given, share, open, shaping) {
   const scene = artifacts.find(({ name }) => name === "scene.ply");
-  const link = `v1/jobs/${job.id}/artifacts/scene.ply`;
   const facts = [
     ["Total time", took(job)],
     ["Photographs used", report.registered !== undefined && `${report.registered} of ${given ?? report.views}`],
@@ -28,9 +29,26 @@ export function summary(job, report, artifacts, given, share, open) {
     verdictOf(report, open),
     h("dl", {}, facts.map(([name, value]) => h("div", {}, h("dt", {}, name), h("dd", {}, value)))),
     h("div", { class: "row" },
-      scene && h("a", { class: "button main", href: link, download: "scene.ply" }, `Download scene, ${size(scene.bytes)}`),
+      scene && download(`v1/jobs/${job.id}`, scene, shaping),
       share && h("button", { type: "button", onclick: () => leap(share) }, "Share"),
       h("span", { class: "hint" }, "Job ID ", h("code", {}, job.id), " ", navigator.clipboard && copy(job.id))));
+}
+
+/** The link to the scene, as the user has shaped it. */
+function download(base, { bytes }, shaping) {
+  const link = h("a", { class: "button main", download: "scene.ply" });
+  const show = () => {
+    const { crop, scale } = shaping.now;
+    const query = shapingQuery({ crop, scale });
+    link.href = `${base}/${query ? "exports" : "artifacts"}/scene.ply${query}`;
+    // A cropped file is made while being sent: its size is not known.
+    const kind = `${crop ? "cropped " : ""}scene${scale !== null ? " in metres" : ""}`;
+    link.textContent = `Download ${kind}${crop ? "" : `, ${size(bytes)}`}`;
+  };
+  show();
+  // A newer summary takes the place of this one.
+  const deaf = shaping.heard(() => (link.isConnected ? show() : deaf()));
+  return link;
 }
 
 function verdictOf(report, open) {

@@ -21,5 +21,13 @@ export function newShaping() {
   };
 }
 
+/** The query of an export's address, with its question mark; empty if nothing shapes it. */
+export function shapingQuery({ crop, scale }) {
+  const query = new URLSearchParams();
+  if (crop !== null) query.set("crop", cropText(crop));
+  if (scale !== null) query.set("scale", scale);
+  return query.size > 0 ? `?${query}` : "";
+}
+
 /** A crop as `crop` of an export's address. */
 export const cropText = ({ shape, centre, size }) => `${shape}:${[...centre, ...size].join(",")}`;

@@ -6,6 +6,7 @@ const OPTIONS = {
   size: "Image size",
   target: "Brightness",
   held_out: "Held-out views",
+  minutes: "Time limit, minutes",
   steps: "Training steps",
   cap: "Maximum Gaussians",
   pose_source: "Camera poses",

@@ -7,7 +7,7 @@ import { optionName } from "../lib/words.js";
 /** Options by purpose; the rest are for experts and folded away. */
 const GROUPS = {
   Result: ["size", "rounds", "target", "held_out"],
-  Speed: ["steps", "cap"],
+  Speed: ["minutes", "steps", "cap"],
   Poses: ["pose_source", "refine_poses", "late_views"],
 };
 /** Options that compare methods or choose machines; only for the API and the command line. */
