@@ -73,6 +73,9 @@ pub enum Event {
         /// Longest side of the working images, px, once it is known.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         size: Option<u32>,
+        /// Training steps of a round, once they are known.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        steps: Option<u32>,
     },
     /// The device has decided how much detail the run trains.
     DetailChosen {

@@ -22,6 +22,7 @@ mod guide;
 mod late_views;
 mod match_brightness;
 mod memory;
+mod minutes;
 mod pictures;
 mod plan;
 pub mod poses;
@@ -42,5 +43,6 @@ pub mod error;
 pub mod workspace;
 
 pub use detail::check_detail;
+pub use minutes::check_minutes;
 pub use run::{Outcome, find_poses, run};
 pub use tools::Tools;

@@ -275,6 +275,11 @@ impl WorkFolder {
         self.root.join("code_version.json")
     }
 
+    /// What a limit of minutes has room for, decided once.
+    pub fn minutes(&self) -> PathBuf {
+        self.root.join("minutes.json")
+    }
+
     /// Marks the stage with this name as finished, with its inputs.
     pub fn stamp(&self, stage: &str) -> PathBuf {
         self.stamps().join(format!("{stage}.json"))

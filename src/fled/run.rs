@@ -125,6 +125,7 @@ fn options(args: &Args) -> Result<Options, Failure> {
             options = options.with_assignment(assignment)?;
         }
     }
+    pipeline::check_minutes(&options)?;
     Ok(options)
 }
 

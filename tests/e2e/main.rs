@@ -8,6 +8,7 @@ mod kills;
 mod late_views;
 mod masks;
 mod memory;
+mod minutes;
 mod models;
 mod networks;
 mod paper;

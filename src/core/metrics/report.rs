@@ -336,7 +336,12 @@ pub struct Report {
     /// The detail that the device decided. Absent if the options name it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub detail: Option<ChosenDetail>,
-    /// The options that the device or the verdict on shake changed, with their values in effect.
+    /// Seconds that the run was expected to take in all, before its rounds began. Absent without a
+    /// limit of minutes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected_seconds: Option<f64>,
+    /// The options that the device, the limit of minutes or the verdict on shake changed, with
+    /// their values in effect.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub in_effect: BTreeMap<String, serde_json::Value>,
     /// Wall seconds by stage.

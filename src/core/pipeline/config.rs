@@ -24,6 +24,11 @@ pub use shake::{LossModel, ShakeModel, TrainOn};
 pub struct Options {
     /// How much detail is trained where `steps`, `size` and `cap` are `auto`.
     pub detail: Detail,
+    /// Minutes that the run may take once its photographs are read; `auto` sets no limit. `size`,
+    /// `cap` and `steps`, where they are `auto`, become as large as the time allows, by what this
+    /// machine's last runs took and whatever `detail` says.
+    #[schemars(schema_with = "setting::schema::<1, 1_440>")]
+    pub minutes: Setting,
     /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 for a
     /// still capture.
     #[schemars(schema_with = "setting::schema::<1, 8>")]
@@ -33,7 +38,7 @@ pub struct Options {
     #[schemars(schema_with = "setting::schema::<1, 200_000>")]
     pub steps: Setting,
     /// Longest side of the working images, px; never above the original. `auto` is 560 (1,600 with
-    /// `detail=high`), or 420 if the capture is found strongly shaken.
+    /// `detail=high`), but at most 820 if the capture is found shaken and 420 if strongly.
     #[schemars(schema_with = "setting::schema::<64, 4096>")]
     pub size: Setting,
     /// Target brightness: `auto`, stops such as `+3.5EV`, or one of the paper's curves:
@@ -233,6 +238,7 @@ impl Preset {
     pub fn options(self) -> Options {
         let standard = Options {
             detail: Detail::Standard,
+            minutes: Setting::Auto,
             rounds: Setting::Auto,
             steps: Setting::Auto,
             size: Setting::Auto,
@@ -490,6 +496,7 @@ impl Options {
     }
 
     fn check(&self) -> Result<(), OptionsError> {
+        within("minutes", self.minutes.or(1))?;
         within("rounds", self.round_count())?;
         within("steps", self.steps_per_round())?;
         within("size", self.longest_side())?;
@@ -505,7 +512,8 @@ impl Options {
 }
 
 /// The options that are numbers, with their least and greatest values.
-const RANGES: [(&str, u32, u32); 5] = [
+const RANGES: [(&str, u32, u32); 6] = [
+    ("minutes", 1, 1_440),
     ("rounds", 1, 8),
     ("steps", 1, 200_000),
     ("size", 64, 4096),

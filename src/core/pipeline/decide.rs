@@ -1,12 +1,17 @@
 //! The decisions of a run that depend on its machine, made first: the detail, and the size and
-//! number of Gaussians that fit into memory.
+//! numbers of Gaussians and steps that time and memory allow.
 
-use super::config::{Options, OptionsError};
+use super::config::Options;
+use super::context::Context;
 use super::detail::{Chosen, choose};
+use super::error::PipelineError;
 use super::memory::{Fit, fit};
+use super::minutes::TimeLimit;
+use super::plan::Forecast;
+use super::workspace::Workspace;
 use crate::capture::Capture;
 use crate::device::Device;
-use crate::event::{Event, ProgressSink};
+use crate::event::Event;
 use crate::metrics::ChosenDetail;
 
 /// The options of a run on its machine.
@@ -17,6 +22,8 @@ pub struct Decision<'a> {
     pub options: Options,
     /// The detail, if it was left to the device.
     pub detail: Option<ChosenDetail>,
+    /// The limit of time, if there is one.
+    pub time: Option<TimeLimit>,
     /// The memory that the run needs, in words.
     need: String,
     warnings: Vec<String>,
@@ -25,27 +32,34 @@ pub struct Decision<'a> {
 /// Makes the decisions that the options leave to the machine.
 ///
 /// # Errors
-/// [`OptionsError`] as of [`choose`].
+/// Those of [`choose`] and [`TimeLimit::choose`].
 pub fn decide<'a>(
     capture: &Capture,
     asked: &'a Options,
     device: &Device,
-) -> Result<Decision<'a>, OptionsError> {
+    forecast: &Forecast,
+    workspace: &Workspace,
+) -> Result<Decision<'a>, PipelineError> {
     let Chosen { options, detail } = choose(asked, &device.facts())?;
-    let photographs: Vec<_> = capture.views.iter().map(|view| [view.width, view.height]).collect();
-    let Fit { options, need, warnings } = fit(&options, &photographs, &device.memory_room());
-    Ok(Decision { asked, options, detail, need: need.in_words(), warnings })
+    let time = TimeLimit::choose(&options, capture, device, forecast, workspace)?;
+    let options = time.as_ref().map_or_else(|| options.clone(), |time| time.options(&options));
+    let room = device.memory_room();
+    let Fit { options, need, warnings } = fit(&options, forecast.sizes(), &room);
+    Ok(Decision { asked, options, detail, time, need: need.in_words(), warnings })
 }
 
 impl Decision<'_> {
     /// Reports the decision to the user.
-    pub fn report(&self, sink: &mut dyn ProgressSink) {
+    pub fn report(&self, context: &mut Context<'_>) {
         if let Some(detail) = &self.detail {
-            sink.event(&Event::DetailChosen { detail: detail.clone() });
+            context.sink.event(&Event::DetailChosen { detail: detail.clone() });
         }
-        sink.log(self.need.clone());
+        if let Some(time) = &self.time {
+            time.report(context);
+        }
+        context.sink.log(self.need.clone());
         for warning in &self.warnings {
-            sink.warn("memory", warning.clone());
+            context.sink.warn("memory", warning.clone());
         }
     }
 }

@@ -32,6 +32,7 @@ const LATE_VIEWS: &[&str] = &["detail", "size", "shake", "refine_poses", "lut_sc
 /// Training, and the registration of held-out views.
 const RECONSTRUCT: &[&str] = &[
     "detail",
+    "minutes",
     "rounds",
     "steps",
     "noise",

@@ -74,7 +74,7 @@ pub struct Sizes {
 /// A still capture is splatted plainly, in one round with the steps of all unless the options say
 /// otherwise. Its cameras stay as found: correcting them costs one museum capture 0.3 to 0.6 dB and
 /// hardly changes the other (docs/decisions/cameras.md). Where the options leave it open, images of
-/// a strongly shaken capture are smaller, with as many Gaussians a pixel.
+/// a shaken capture may be smaller, with as many Gaussians a pixel.
 pub fn in_effect(
     options: &Options,
     verdict: Option<CaptureShake>,
@@ -84,7 +84,7 @@ pub fn in_effect(
     match verdict {
         Some(CaptureShake::Still) => {
             options.refine_poses = false;
-            if options.rounds == Setting::Auto && options.steps == Setting::Auto {
+            if options.rounds == Setting::Auto && options.steps.is_open() {
                 let all = options.steps_per_round() * options.round_count();
                 options.steps = Setting::Given(all);
             }

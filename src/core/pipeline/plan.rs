@@ -1,6 +1,7 @@
 //! Progress and time left: the work of the stages to come, by the pace of this machine in its last
 //! runs and in this one.
 
+mod forecast;
 mod history;
 mod reporter;
 mod search;
@@ -12,12 +13,12 @@ use super::config::Options;
 use crate::camera::Split;
 use crate::event::{Event, Stage};
 use crate::metrics::{RoundMetrics, ViewScore};
+pub use forecast::{Expected, Forecast, Rounds};
 use history::Cost;
 pub use history::History;
 pub use reporter::ProgressReporter;
 use search::Trial;
-pub use work::Photographs;
-use work::{Job, Part, Work};
+use work::{Job, Part, Photographs, Work};
 
 /// Share of a stage whose pace weighs as much as that of earlier runs.
 const KNOWN_SHARE: f64 = 0.2;
@@ -135,8 +136,8 @@ impl Plan {
     /// Takes an event at a time in seconds; returns whether progress has changed enough to report.
     pub fn take(&mut self, at: f64, event: &Event) -> bool {
         match event {
-            Event::Planned { rounds, views, shake, size } => {
-                self.job.replan(*rounds, *views, *shake, *size);
+            Event::Planned { rounds, views, shake, size, steps } => {
+                self.job.replan(*rounds, *views, *shake, *size, *steps);
             }
             Event::StageStarted { stage, round } => {
                 self.close(at);
@@ -195,6 +196,7 @@ impl Plan {
         let share = match event.stage {
             // Steps on small images are cheaper, and there is work between them.
             Stage::Reconstruct => {
+                self.job.train(running.round, event.total as u32);
                 let before = self.job.training(running.round, event.done as u32);
                 self.seconds(&before) / self.seconds(&self.job.of(event.stage, running.round))
             }

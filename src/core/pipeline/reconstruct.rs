@@ -13,6 +13,7 @@ use super::config::{Options, Pace, Start};
 use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
+use super::minutes::RoundsLimit;
 use super::round::Round;
 use super::tone::Tone;
 use super::training_images::TrainingImage;
@@ -104,6 +105,8 @@ pub struct TrainingData<'a> {
     pub poses: &'a Poses,
     /// V_{i-1}, after the first round.
     pub before: Option<Predecessor<'a>>,
+    /// The limit of time, if there is one.
+    pub limit: Option<RoundsLimit<'a>>,
 }
 
 /// Runs the stage: V_i, noise-aware splats of the training views, trained once.
@@ -236,7 +239,7 @@ fn train(
     let cancel = context.cancel;
     let work = context.workspace.folder().work();
     let picture = work.live_picture();
-    let (watched, steps) = (watched(data), config.steps);
+    let (watched, limit) = (watched(data), data.limit);
     // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
@@ -260,12 +263,26 @@ fn train(
         }
     };
     let mut show = |seen: Seen| {
-        let event = training_seen(number, steps, seen);
+        let event = training_seen(number, seen);
         shared.borrow_mut().sink.event(&event);
     };
+    let first_cap = config.cap;
     let mut attempt = |start: TrainStart, config: &TrainConfig| {
-        let mut watch = Watch::new(&watched, steps);
-        let mut look = |look: &mut Look<'_>| watch.look(look, &mut shared.borrow_mut());
+        // With fewer Gaussians than the file has: a kill must not bring back those without room.
+        if let TrainStart::Resume(checkpoint) = &start
+            && config.cap < first_cap
+        {
+            keep(checkpoint);
+        }
+        let mut watch = Watch::new(&watched);
+        let mut pacing = limit.map(|limit| limit.pacing(number, config.steps));
+        let mut look = |look: &mut Look<'_>| {
+            let context = &mut *shared.borrow_mut();
+            if let Some(pacing) = &mut pacing {
+                pacing.look(look, context);
+            }
+            watch.look(look, context)
+        };
         let mut hooks = TrainHooks {
             cancel,
             progress: &mut progress,
@@ -296,11 +313,11 @@ fn watched<'a>(data: &TrainingData<'a>) -> Watched<'a> {
     Watched { round: data.round, views: data.views, enhanced: data.enhanced, target: data.target }
 }
 
-fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
+fn training_seen(round: u32, seen: Seen) -> Event {
     Event::TrainingSeen {
         round,
         step: seen.step,
-        steps,
+        steps: seen.steps,
         loss: seen.loss,
         gaussians: seen.gaussians as u64,
     }

@@ -36,6 +36,7 @@ pub fn begin(
         capture_shake: None,
         exposure: None,
         detail: decision.detail.clone(),
+        expected_seconds: None,
         in_effect: BTreeMap::new(),
         stages: BTreeMap::new(),
         adapter: tools.device.to_string(),

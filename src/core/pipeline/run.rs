@@ -14,7 +14,8 @@ use super::exposures::{self, Exposures};
 use super::guide;
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
-use super::plan::{By, History, Photographs, Plan, ProgressReporter};
+use super::minutes::RoundsLimit;
+use super::plan::{Forecast, ProgressReporter, Rounds};
 use super::poses::{poses, publish};
 use super::reconstruct::{Predecessor, TrainedScene, TrainingData, reconstruct};
 use super::render::render;
@@ -91,11 +92,12 @@ pub fn run(
     sink: &mut dyn ProgressSink,
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
-    let decision = decide(capture, asked, tools.device)?;
+    let forecast = Forecast::new(capture, tools, workspace);
+    let mut decision = decide(capture, asked, tools.device, &forecast, workspace)?;
     let options = &decision.options;
-    let sink = &mut with_progress(capture, options, tools, workspace, sink);
+    let sink = &mut ProgressReporter::new(sink, workspace, forecast.plan(options));
     let context = &mut begin(capture, asked, tools, workspace, sink, cancel)?;
-    decision.report(context.sink);
+    decision.report(context);
     let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
     let whole = depends_on.run();
@@ -110,29 +112,44 @@ pub fn run(
     report.exposure = found;
     exposures.even(&mut views);
     let before_verdict = Effective::of(options, None);
-    let request = Request { capture, effective: &before_verdict };
+    let request = Request { capture, effective: &before_verdict, limit: None };
     let mut state = RoundState::new(context, request, tools, poses, views, exposures)?;
     let on = &state.depends_on;
     let (views, brightening) = (&state.views, &state.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
-    let effective = &Effective::of(options, shaken.as_ref());
-    let in_effect = &effective.options;
-    report::change(&mut report, asked, in_effect);
-    let request = Request { capture, effective };
-    context.sink.event(&Event::Planned {
+    let mut effective = Effective::of(options, shaken.as_ref());
+    let rounds = Rounds {
         rounds: effective.rounds(),
         views: state.views.len() as u32,
         shake: report.capture_shake,
-        size: Some(views::longest_side(&state.views).min(in_effect.longest_side())),
+        size: views::longest_side(&state.views).min(effective.options.longest_side()),
+    };
+    if let Some(time) = &mut decision.time {
+        let (options, seconds) = time.refill(context, &effective.options, rounds, &forecast)?;
+        effective.options = options;
+        report.expected_seconds = Some(seconds);
+    }
+    let effective = &effective;
+    let in_effect = &effective.options;
+    report::change(&mut report, asked, in_effect);
+    let limit = decision.time.as_ref();
+    let limit = limit.map(|time| time.of_rounds(&forecast, in_effect, rounds));
+    let request = Request { capture, effective, limit };
+    context.sink.event(&Event::Planned {
+        rounds: rounds.rounds,
+        views: rounds.views,
+        shake: rounds.shake,
+        size: Some(rounds.size),
+        steps: Some(in_effect.steps_per_round()),
     });
     let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
         state.views = views::load(context, capture, &state.poses, in_effect)?;
         state.exposures.even(&mut state.views);
     }
-    if effective.levels != before_verdict.levels || is_smaller {
+    if effective.levels != before_verdict.levels || effective.options != before_verdict.options {
         let RoundState { poses, views, exposures, .. } = state;
         state = RoundState::new(context, request, tools, poses, views, exposures)?;
     }
@@ -153,6 +170,8 @@ pub fn run(
 struct Request<'a> {
     capture: &'a Capture,
     effective: &'a Effective,
+    /// The limit of time, if there is one.
+    limit: Option<RoundsLimit<'a>>,
 }
 
 /// One round of a request, and the round before it.
@@ -206,6 +225,7 @@ fn round(
         target: &brightening.last().response,
         poses,
         before: before.as_ref().map(RoundOutput::predecessor), // V_{i-1}
+        limit: request.limit.map(|limit| limit.now(input.index, effective, views)),
     };
     let scene = reconstruct(context, tools.device, data, &on.reconstruct)?; // V_i
     let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
@@ -261,6 +281,7 @@ fn round(
         views: views.len() as u32,
         shake: report.capture_shake,
         size: Some(views::longest_side(&views)),
+        steps: Some(options.steps_per_round()),
     });
     *state = RoundState::new(context, request, tools, poses, views, exposures)?;
     state.output(context, tools, input.index, scene, on)
@@ -298,7 +319,7 @@ impl RoundState {
         views: Vec<View>,
         exposures: Exposures,
     ) -> Result<Self, PipelineError> {
-        let Request { capture, effective } = request;
+        let Request { capture, effective, .. } = request;
         let depends_on = RunDependencies::of(&effective.options, capture, &poses, tools);
         let depends_on = depends_on.with_levels(effective.levels);
         let brightening = enhance::plan(context, &views, &depends_on, tools)?;
@@ -335,7 +356,8 @@ pub fn find_poses(
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
     // Poses depend neither on the detail nor on what fits into memory, which the run decides.
-    let sink = &mut with_progress(capture, asked, tools, workspace, sink);
+    let plan = Forecast::new(capture, tools, workspace).plan(asked);
+    let sink = &mut ProgressReporter::new(sink, workspace, plan);
     let context = &mut begin(capture, asked, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, asked, tools)?;
     publish(workspace, &poses)?;
@@ -362,6 +384,7 @@ fn begin<'a>(
         views: capture.views.len() as u32,
         shake: None,
         size: None,
+        steps: None,
     });
     sink.log(format!("adapter: {}", tools.device));
     for (option, network) in tools.networks().named() {
@@ -371,28 +394,4 @@ fn begin<'a>(
         sink.warn("fallback", fallback.clone());
     }
     Ok(Context::new(workspace, sink, cancel))
-}
-
-/// Adds progress and time left to the events of the run.
-fn with_progress<'a>(
-    capture: &Capture,
-    options: &Options,
-    tools: &Tools<'_>,
-    workspace: &'a Workspace,
-    sink: &'a mut dyn ProgressSink,
-) -> ProgressReporter<'a> {
-    let photographs = Photographs {
-        views: capture.views.len(),
-        pixels: views::working_pixels(capture, options),
-        longest: views::longest_working_side(capture, options),
-    };
-    let network = tools.networks().deblur;
-    let by = By {
-        adapter: tools.device.to_string(),
-        network: format!("{} on {}", network.id, network.provider),
-        poses: tools.sfm.describe(),
-    };
-    let history = History::open(tools.cache.as_deref(), workspace);
-    let plan = Plan::new(options, photographs, by, history);
-    ProgressReporter::new(sink, workspace, plan)
 }

@@ -210,22 +210,6 @@ pub fn view(
     })
 }
 
-/// Pixels of all photographs of a capture at working size.
-pub fn working_pixels(capture: &Capture, options: &Options) -> usize {
-    working_sizes(capture, options).map(|(width, height)| width * height).sum()
-}
-
-/// Longest side of the photographs of a capture at working size, px.
-pub fn longest_working_side(capture: &Capture, options: &Options) -> u32 {
-    let sides = working_sizes(capture, options).map(|(width, height)| width.max(height) as u32);
-    sides.max().unwrap_or(0)
-}
-
-fn working_sizes(capture: &Capture, options: &Options) -> impl Iterator<Item = (usize, usize)> {
-    let size = options.longest_side() as usize;
-    capture.views.iter().map(move |view| working_size(view.width, view.height, size))
-}
-
 /// Longest side of the working images, px; below the option for small photographs.
 pub fn longest_side(views: &[View]) -> u32 {
     let sides = views.iter().map(|view| view.dark.width().max(view.dark.height()) as u32);

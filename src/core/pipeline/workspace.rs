@@ -14,7 +14,7 @@ use crate::run_folder::RunFolder;
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
 /// inputs: a rerun then repeats the stage instead of trusting the artifacts on disk, and cached
 /// poses, renders and frames of videos are made again. Golden runs cannot be blessed otherwise.
-pub const CODE_VERSION: u32 = 12;
+pub const CODE_VERSION: u32 = 13;
 
 /// The output folder of one run. Cheap to clone; holds paths only.
 #[derive(Clone, Debug)]

@@ -7,7 +7,7 @@ use super::training::TrainingState;
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 10;
+const VERSION: u32 = 11;
 
 /// Number of arrays in a checkpoint.
 const ARRAYS: usize = 7;
@@ -27,6 +27,8 @@ pub struct Checkpoint {
     pub fingerprint: u64,
     /// Next step, 0-based.
     pub step: u32,
+    /// Steps of the round: others than planned once the limit of time changed them.
+    pub steps: u32,
     /// Gaussians at the start of the round.
     pub start_count: u32,
     /// Most Gaussians: fewer than asked for once the device ran out of memory.
@@ -53,6 +55,7 @@ struct Header {
     intersections: u32,
     non_finite: u32,
     cap: u64,
+    steps: u64,
     seconds: f64,
     lengths: [u64; ARRAYS],
     stamp: [u8; HASH],
@@ -74,6 +77,7 @@ impl Checkpoint {
             intersections: self.state.intersections,
             non_finite: self.state.non_finite,
             cap: self.cap,
+            steps: u64::from(self.steps),
             seconds: self.seconds,
             lengths: arrays.map(|a| a.len() as u64),
             stamp: stamp(inputs),
@@ -129,6 +133,7 @@ impl Checkpoint {
         Ok(Self {
             fingerprint: header.fingerprint,
             step: header.step,
+            steps: header.steps as u32,
             start_count: header.start_count,
             cap: header.cap,
             seconds: header.seconds,
@@ -192,6 +197,7 @@ mod tests {
         Checkpoint {
             fingerprint: 77,
             step: 120,
+            steps: 200,
             start_count: 2,
             cap: 3,
             seconds: 7.5,
@@ -230,7 +236,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 11"));
+        assert!(refused(&newer).starts_with("version 12"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let mut odd = checkpoint();
         odd.state.sh_degree = 2;

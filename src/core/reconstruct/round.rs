@@ -44,7 +44,8 @@ pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
 /// Receives the state of training every 25 steps, every 100 of a round of 5,000 and more.
 pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
-/// May render the current scene: about as often, and after the last.
+/// May render the current scene, and change the number of steps: about as often, and after the
+/// last.
 pub type LookHook<'a> = &'a mut dyn FnMut(&mut Look<'_>) -> Result<(), GpuError>;
 
 /// The state of training.
@@ -52,6 +53,8 @@ pub type LookHook<'a> = &'a mut dyn FnMut(&mut Look<'_>) -> Result<(), GpuError>
 pub struct Seen {
     /// Steps done.
     pub step: u32,
+    /// Steps of the round.
+    pub steps: u32,
     /// Loss of the last step's view; it scatters, because views differ.
     pub loss: f64,
     /// Gaussians of the scene.
@@ -68,7 +71,7 @@ pub struct TrainHooks<'a> {
     /// `None` makes no checkpoints.
     pub checkpoint: Option<CheckpointHook<'a>>,
     pub seen: Option<SeenHook<'a>>,
-    /// `None` renders nothing. Training is the same either way.
+    /// `None` renders nothing. Training is the same either way, unless it changes the steps.
     pub look: Option<LookHook<'a>>,
 }
 

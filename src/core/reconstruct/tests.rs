@@ -235,7 +235,7 @@ fn looks(device: &Device) {
         look: Some(&mut |look: &mut Look<'_>| {
             let small = look.render(&views[0].camera)?;
             assert_eq!((small.width(), small.height()), (64, 48));
-            seen.push((look.step, look.is_last, look.render(&camera)?));
+            seen.push((look.step, look.is_last(), look.render(&camera)?));
             Ok(())
         }),
     };

@@ -105,11 +105,11 @@ impl<'a> Trainer<'a> {
 
     pub(super) fn run(mut self, hooks: &mut TrainHooks<'_>) -> Result<Trained, ReconstructError> {
         self.begun = Instant::now();
-        self.train_to(self.config.steps, hooks)?;
+        self.train_to(u32::MAX, hooks)?;
         self.finish()
     }
 
-    /// Trains up to step `last`, at most the round's number, and leaves nothing in flight. On
+    /// Trains up to step `last`, or to the end of the round, and leaves nothing in flight. On
     /// cancellation, hands over a checkpoint after the running step or, if that step must be
     /// repeated, after the next step that need not be.
     fn train_to(&mut self, last: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
@@ -121,7 +121,7 @@ impl<'a> Trainer<'a> {
             if is_asked && hooks.checkpoint.is_none() {
                 return Err(Cancelled.into());
             }
-            let end = self.next == last;
+            let end = self.next >= last.min(self.schedule.steps);
             if end || self.is_sync(self.next) {
                 self.settle(0)?;
                 if self.again.is_empty() {
@@ -160,7 +160,7 @@ impl<'a> Trainer<'a> {
             if reported.elapsed() >= self.progress_every {
                 reported = Instant::now();
                 let rate = f64::from(self.next - first) / begin.elapsed().as_secs_f64();
-                (hooks.progress)(u64::from(self.next), u64::from(self.config.steps), rate);
+                (hooks.progress)(u64::from(self.next), u64::from(self.schedule.steps), rate);
             }
         }
     }
@@ -171,7 +171,8 @@ impl<'a> Trainer<'a> {
             return Ok(());
         };
         if self.next > first && self.next.is_multiple_of(REPORT_EVERY) {
-            seen(Seen { step: self.next, loss: self.scene.loss()?, gaussians: self.scene.count() });
+            let (step, steps) = (self.next, self.schedule.steps);
+            seen(Seen { step, steps, loss: self.scene.loss()?, gaussians: self.scene.count() });
         }
         Ok(())
     }
@@ -182,12 +183,19 @@ impl<'a> Trainer<'a> {
             return Ok(());
         };
         if self.next > first {
-            look(&mut Look {
+            let seconds = self.seconds();
+            let mut moment = Look {
                 step: self.next,
-                is_last: self.next == self.config.steps,
+                steps: self.schedule.steps,
+                seconds,
+                change: None,
                 degree: self.schedule.degree(self.next - 1),
                 scene: &mut *self.scene,
-            })?;
+            };
+            look(&mut moment)?;
+            if let Some(steps) = moment.change.filter(|_| !moment.is_last()) {
+                self.schedule.steps = steps.max(self.next + 1);
+            }
         }
         Ok(())
     }
@@ -201,7 +209,7 @@ impl<'a> Trainer<'a> {
         let state = self.scene.save()?;
         Ok(Trained {
             gaussians: state.gaussians().without_unusable(),
-            steps: u64::from(self.config.steps),
+            steps: u64::from(self.schedule.steps),
             seconds: self.seconds(),
             between: self.seconds_between,
             non_finite_gradients: u64::from(state.non_finite),

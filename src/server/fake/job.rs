@@ -84,6 +84,7 @@ impl Job {
             views: self.names.len() as u32,
             shake: None,
             size: None,
+            steps: None,
         });
         if self.options.detail == Detail::Auto {
             let because = "a fake device is not a GPU".to_owned();

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use fled_core::deblur::{BUILT_IN, Model, NetworkChoice, network_names};
 use fled_core::device::PROCESSOR;
 use fled_core::enhance::Target;
+use fled_core::pipeline::check_minutes;
 use fled_core::pipeline::config::{Detail, NetworkOption, Options, OptionsError, Preset};
 use fled_core::reading::below;
 use serde_json::{Map, Value};
@@ -74,7 +75,7 @@ impl Order {
         options: Options,
         priority: Priority,
     ) -> Result<Self, Problem> {
-        check_words(&options)?;
+        check_early(&options)?;
         // It reads the networks folder.
         let (folders, checked) = (app.config.models.clone(), options.clone());
         let check = move || {
@@ -154,8 +155,9 @@ impl Order {
     }
 }
 
-/// Checks options with their own syntax, which the job would otherwise parse only after the poses.
-fn check_words(options: &Options) -> Result<(), Problem> {
+/// Checks options that the job would otherwise refuse only after the photographs or poses.
+fn check_early(options: &Options) -> Result<(), Problem> {
+    check_minutes(options).map_err(|error| bad_option(&error))?;
     let target: Result<Target, _> = options.target.parse();
     target.map_err(|error| {
         bad_option(&OptionsError { key: "target".to_owned(), message: error.to_string() })

@@ -5,8 +5,9 @@ use crate::pipeline::config::{Setting, ShakeModel, TrainOn};
 
 /// The results that each option invalidates, in the order of Algorithm 1. Options without any act
 /// through the tools that they choose.
-const STALE: [(&str, &[&str]); 28] = [
+const STALE: [(&str, &[&str]); 29] = [
     ("detail", &["views", "enhance", "deblur", "reconstruct", "guided"]),
+    ("minutes", &["reconstruct", "guided"]),
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     ("size", &["views", "enhance", "deblur", "reconstruct", "guided"]),
@@ -39,7 +40,7 @@ const STALE: [(&str, &[&str]); 28] = [
 /// Another valid value of every option.
 fn other(option: &str) -> Value {
     match option {
-        "rounds" | "steps" | "size" | "cap" | "seed" => json!(777),
+        "minutes" | "rounds" | "steps" | "size" | "cap" | "seed" => json!(777),
         "detail" => json!("high"),
         "exposure" => json!("as_taken"),
         "sh_degree" => json!(1),

@@ -159,7 +159,7 @@ fn a_time_left_that_is_half_or_missing_is_found() {
 
 /// Events of one round of training by evenly made steps, `slowness` times as long as expected.
 fn even_training(plan: &Plan, slowness: f64) -> Vec<(f64, Event)> {
-    let (stage, round, steps) = (Stage::Reconstruct, 1, plan.job.steps());
+    let (stage, round, steps) = (Stage::Reconstruct, 1, plan.job.steps(1));
     let mut events = vec![(0.0, Event::StageStarted { stage, round })];
     for done in 1..=steps {
         let work = plan.job.training(round, done);
@@ -489,7 +489,7 @@ fn a_shaken_capture_is_less_work_where_its_images_shrink() {
         let photographs = Photographs { views: 10, pixels: 2_000_000, longest };
         let mut job = Job::new(&preset.options(), photographs);
         // Late views make another plan.
-        (0..2).for_each(|_| job.replan(2, 10, Some(CaptureShake::Shaken), Some(size)));
+        (0..2).for_each(|_| job.replan(2, 10, Some(CaptureShake::Shaken), Some(size), None));
         job.training(1, 1_000).iter().map(|(_, seconds)| seconds).sum::<f64>()
     };
     // `high` allows 1,600 px, but the photographs have 560.

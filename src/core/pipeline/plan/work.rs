@@ -1,11 +1,13 @@
 //! The work of a run by its parts, in seconds that two cores with software Vulkan take.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use crate::event::Stage;
 use crate::features::SearchOptions;
 use crate::metrics::CaptureShake;
-use crate::pipeline::config::{NoiseMode, Options, Pace, Start};
+use crate::pipeline::config::{NoiseMode, Options, Pace, Setting, Start};
 use crate::pipeline::effective::{Sizes, in_effect};
 use crate::pipeline::shaken;
 use crate::pipeline::views::HELD_OUT_FROM;
@@ -40,6 +42,21 @@ pub enum Part {
 impl Part {
     /// The parts of training.
     pub const TRAINING: [Self; 3] = [Self::Steps, Self::Kernels, Self::Cameras];
+
+    /// Seconds for a unit of its work where a machine has never done it: on a GPU, or as measured
+    /// on a processor with two cores (docs/results.md).
+    pub fn first_pace(self, on_gpu: bool) -> f64 {
+        match self {
+            Self::Steps | Self::Kernels | Self::Cameras | Self::Render if on_gpu => 0.02,
+            Self::Steps | Self::Cameras => 0.4,
+            Self::Kernels | Self::Render | Self::Match => 0.8,
+            Self::Poses => 0.1,
+            Self::Pairs | Self::Mapping | Self::Features => 1.0,
+            Self::Evaluate => 1.5,
+            Self::Deblur => 1.8,
+            Self::Enhance => 3.0,
+        }
+    }
 }
 
 /// Seconds that something takes on two cores: alone, for a megapixel and for 1,000 Gaussians.
@@ -111,6 +128,8 @@ pub struct Job {
     searches: bool,
     /// Views with a kernel in the next round, once known.
     kernels: Option<f64>,
+    /// Steps of the rounds that have been in training; a limit of time changes them.
+    trained: BTreeMap<u32, u32>,
 }
 
 impl Job {
@@ -127,18 +146,24 @@ impl Job {
             pairs: None,
             searches: false,
             kernels: None,
+            trained: BTreeMap::new(),
         }
     }
 
-    /// Another number of rounds or views, a verdict on the shake, or another size.
+    /// Another number of rounds or views, a verdict on the shake, another size or number of steps.
     pub fn replan(
         &mut self,
         rounds: u32,
         views: u32,
         shake: Option<CaptureShake>,
         size: Option<u32>,
+        steps: Option<u32>,
     ) {
         (self.rounds, self.views) = (rounds, f64::from(views));
+        if let Some(steps) = steps {
+            self.asked.steps = Setting::Given(steps);
+            self.options.steps = self.asked.steps;
+        }
         if shake.is_some() {
             let last = self.sizes.now;
             self.sizes.now = size.unwrap_or(last);
@@ -181,10 +206,14 @@ impl Job {
         self.kernels = Some(f64::from(kernels));
     }
 
+    /// Notes how many steps a round in training has.
+    pub fn train(&mut self, round: u32, steps: u32) {
+        self.trained.insert(round, steps);
+    }
+
     /// Steps of a round.
-    #[cfg(test)]
-    pub fn steps(&self) -> u32 {
-        self.options.steps_per_round()
+    pub fn steps(&self, round: u32) -> u32 {
+        self.trained.get(&round).copied().unwrap_or(self.options.steps_per_round())
     }
 
     /// The planned stages in order.
@@ -219,8 +248,13 @@ impl Job {
                 vec![(Part::Poses, self.all_pairs() * self.seconds(&PAIR, 1.0, 1.0))]
             }
             Stage::Enhance => views(Part::Enhance, &ENHANCE),
+            Stage::Deblur if round == 0 => {
+                let side = f64::from(shaken::VERDICT_SIDE) / f64::from(self.sizes.now.max(1));
+                let pixels = side.min(1.0).powi(2);
+                vec![(Part::Deblur, self.views * self.seconds(&DEBLUR, pixels, 1.0))]
+            }
             Stage::Deblur => views(Part::Deblur, &DEBLUR),
-            Stage::Reconstruct => self.training(round, self.options.steps_per_round()),
+            Stage::Reconstruct => self.training(round, self.steps(round)),
             Stage::Render => views(Part::Render, &RENDER),
             Stage::Match => views(Part::Match, &MATCH),
             Stage::Evaluate => views(Part::Evaluate, &EVALUATE),
@@ -238,7 +272,7 @@ impl Job {
     pub fn training(&self, round: u32, until: u32) -> Work {
         let options = &self.options;
         let schedule = Schedule {
-            steps: options.steps_per_round(),
+            steps: self.steps(round),
             sh_degree: options.sh_degree,
             resolution: options.schedule == Pace::Adapted,
             pace: options.schedule,

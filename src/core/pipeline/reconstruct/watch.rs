@@ -18,8 +18,7 @@ use crate::pipeline::round::Round;
 use crate::pipeline::views::View;
 use crate::reconstruct::Look;
 use crate::reconstruct::schedule::reduced_size;
-use crate::shake::reference::shaken_image;
-use crate::shake::{self, Response};
+use crate::shake::{self, Response, shaken_image};
 
 /// Steps between scores.
 const SCORED: u32 = 100;
@@ -52,7 +51,6 @@ pub struct Watched<'a> {
 pub struct Watch<'a> {
     round: &'a Round,
     target: &'a Response,
-    steps: u32,
     compared: Vec<Compared>,
     /// Whether the references are ground truth.
     truth: bool,
@@ -70,9 +68,9 @@ struct Compared {
 }
 
 impl<'a> Watch<'a> {
-    /// Watches a round of `steps` steps. If some held-out views have ground truth, those are scored
+    /// Watches a round. If some held-out views have ground truth, those are scored
     /// against it; else all are scored against their enhanced views.
-    pub fn new(watched: &Watched<'a>, steps: u32) -> Self {
+    pub fn new(watched: &Watched<'a>) -> Self {
         let views = watched.views;
         let held_out: Vec<usize> =
             (0..views.len()).filter(|&view| views[view].split == Split::HeldOut).collect();
@@ -92,7 +90,6 @@ impl<'a> Watch<'a> {
         Self {
             round: watched.round,
             target: watched.target,
-            steps,
             compared,
             truth,
             pictured: views.get(pictured),
@@ -120,7 +117,7 @@ impl<'a> Watch<'a> {
 
     fn show(&mut self, look: &mut Look<'_>, context: &mut Context<'_>) -> Result<(), GpuError> {
         let scored = look.step.is_multiple_of(SCORED) && self.scores.is_due();
-        if !self.compared.is_empty() && (scored || look.is_last) {
+        if !self.compared.is_empty() && (scored || look.is_last()) {
             let begin = Instant::now();
             self.score(look, context)?;
             self.scores.took(begin.elapsed(), Duration::ZERO);
@@ -151,7 +148,7 @@ impl<'a> Watch<'a> {
             context.sink.event(&Event::HeldOutSeen {
                 round: self.round.number,
                 step: look.step,
-                steps: self.steps,
+                steps: look.steps,
                 psnr_cc_db,
                 ssim,
                 views: scores.len() as u32,

@@ -137,6 +137,40 @@ fn a_round_stopped_at_an_overflow_resumes_to_the_same_bytes() {
 }
 
 #[test]
+fn a_round_has_the_steps_that_a_look_gives_it_and_resumes_to_them() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
+    let config = config(60, 400);
+    for steps in [40, 90] {
+        let mut kept = None;
+        let mut hooks = TrainHooks {
+            cancel: &CancelToken::new(),
+            progress: &mut |_, _, _| {},
+            checkpoint: Some(&mut |checkpoint| {
+                if checkpoint.step == 25 {
+                    kept = Some(checkpoint.clone());
+                }
+            }),
+            seen: None,
+            look: Some(&mut |look: &mut Look<'_>| {
+                if look.step == 25 {
+                    assert_eq!(look.steps, 60);
+                    look.change_steps(steps);
+                }
+                Ok(())
+            }),
+        };
+        let begin = start(&views, &scene, &config);
+        let trainer = trainer::Trainer::new(&Device::Processor, &views, begin, &config);
+        let changed = trainer.expect("made").often_kept().run(&mut hooks).expect("trains");
+        let resume = TrainStart::Resume(kept.expect("kept after the change"));
+        let resumed = trained_on(&Device::Processor, &views, resume, &config);
+        assert_eq!([changed.steps, resumed.steps], [u64::from(steps); 2]);
+        assert!(bytes(&resumed.gaussians) == bytes(&changed.gaussians), "{steps} steps");
+    }
+}
+
+#[test]
 fn cancelling_stops_a_round_between_steps() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[0.0], [64, 48]);

@@ -39,7 +39,7 @@ impl Kept {
 impl Trainer<'_> {
     pub(super) fn is_sync(&self, step: u32) -> bool {
         let divisor = self.schedule.divisor(step);
-        let every = if self.config.steps < LONG { SYNC.0 } else { SYNC.1 };
+        let every = if self.schedule.steps < LONG { SYNC.0 } else { SYNC.1 };
         step.is_multiple_of(every)
             || self.densifies(step)
             || self.estimates_shake(step)
@@ -113,7 +113,7 @@ impl Trainer<'_> {
 
     pub(super) fn check_finite(&self) -> Result<(), ReconstructError> {
         let dropped = u64::from(self.scene.non_finite()?);
-        let updates = f64::from(self.config.steps) * self.scene.count() as f64;
+        let updates = f64::from(self.schedule.steps) * self.scene.count() as f64;
         if dropped as f64 > NON_FINITE_LIMIT * updates {
             return Err(ReconstructError::NotFinite { dropped, step: self.next });
         }

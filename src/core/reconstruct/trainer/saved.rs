@@ -13,6 +13,7 @@ impl Trainer<'_> {
         Ok(Checkpoint {
             fingerprint: self.fingerprint(),
             step: self.next,
+            steps: self.schedule.steps,
             start_count: self.start_count as u32,
             cap: self.config.cap as u64,
             seconds: self.seconds(),
@@ -23,10 +24,11 @@ impl Trainer<'_> {
     }
 
     pub(super) fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), ReconstructError> {
-        if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
+        if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > checkpoint.steps {
             return Err(ReconstructError::OtherRound);
         }
         self.restore_scene(&checkpoint.state)?;
+        self.schedule.steps = checkpoint.steps;
         self.start_count = checkpoint.start_count as usize;
         self.seconds_before = checkpoint.seconds;
         self.next = checkpoint.step;
