@@ -242,18 +242,18 @@ impl TimeLimit {
     }
 
     /// Chooses the steps of the options in effect again, for the time left before the rounds,
-    /// unless they were set or an earlier process chose them. Returns the options, and the time
-    /// that the whole run is expected to take, s.
+    /// unless they were set or an earlier process chose them. Returns the time that the whole run
+    /// is expected to take, s.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn refill(
         &mut self,
         context: &mut Context<'_>,
-        options: &Options,
+        options: &mut Options,
         rounds: Rounds,
         forecast: &Forecast,
-    ) -> Result<(Options, f64), PipelineError> {
+    ) -> Result<f64, PipelineError> {
         let with = |steps| Options { steps: Setting::Fitted(steps), ..options.clone() };
         let refilled = match self.refilled {
             Some(refilled) => refilled,
@@ -285,8 +285,10 @@ impl TimeLimit {
         } else {
             context.sink.log(message);
         }
-        let options = if self.fills { with(steps) } else { options.clone() };
-        Ok((options, seconds))
+        if self.fills {
+            options.steps = Setting::Fitted(steps);
+        }
+        Ok(seconds)
     }
 }
 

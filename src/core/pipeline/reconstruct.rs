@@ -247,20 +247,7 @@ fn train(
         shared.borrow_mut().advance(Stage::Reconstruct, number, progress);
     };
     let mut keep = |checkpoint: &Checkpoint| {
-        let context = &mut *shared.borrow_mut();
-        match checkpoint::keep(context.workspace, checkpoint, depends_on) {
-            Ok(()) if cancel.is_cancelled() => {
-                let step = checkpoint.step;
-                let message = format!("round {number}: stopped at step {step}");
-                context.sink.log(message);
-            }
-            Ok(()) => {}
-            // A failed checkpoint costs time after a crash, but does not end this run.
-            Err(error) => {
-                let message = format!("round {number}: {error}");
-                context.sink.warn("checkpoint", message);
-            }
-        }
+        keep_or_warn(&mut shared.borrow_mut(), number, checkpoint, depends_on);
     };
     let mut show = |seen: Seen| {
         let event = training_seen(number, seen);
@@ -307,6 +294,22 @@ fn train(
         context.sink.warn("training", message);
     }
     Ok(trained)
+}
+
+/// Keeps a checkpoint. A failure costs time after a crash, but does not end this run.
+fn keep_or_warn(
+    context: &mut Context<'_>,
+    round: u32,
+    checkpoint: &Checkpoint,
+    depends_on: &Dependencies,
+) {
+    match checkpoint::keep(context.workspace, checkpoint, depends_on) {
+        Ok(()) if context.cancel.is_cancelled() => {
+            context.sink.log(format!("round {round}: stopped at step {}", checkpoint.step));
+        }
+        Ok(()) => {}
+        Err(error) => context.sink.warn("checkpoint", format!("round {round}: {error}")),
+    }
 }
 
 fn watched<'a>(data: &TrainingData<'a>) -> Watched<'a> {

@@ -30,7 +30,7 @@ use crate::cancel::CancelToken;
 use crate::capture::Capture;
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
-use crate::metrics::Report;
+use crate::metrics::{CaptureShake, Report};
 use crate::poses::matching::Matching;
 use crate::poses::{PosedView, Poses};
 use crate::run_folder::KeptImages;
@@ -120,15 +120,9 @@ pub fn run(
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
     let mut effective = Effective::of(options, shaken.as_ref());
-    let rounds = Rounds {
-        rounds: effective.rounds(),
-        views: state.views.len() as u32,
-        shake: report.capture_shake,
-        size: views::longest_side(&state.views).min(effective.options.longest_side()),
-    };
+    let rounds = rounds(&effective, &state.views, report.capture_shake);
     if let Some(time) = &mut decision.time {
-        let (options, seconds) = time.refill(context, &effective.options, rounds, &forecast)?;
-        effective.options = options;
+        let seconds = time.refill(context, &mut effective.options, rounds, &forecast)?;
         report.expected_seconds = Some(seconds);
     }
     let effective = &effective;
@@ -137,13 +131,7 @@ pub fn run(
     let limit = decision.time.as_ref();
     let limit = limit.map(|time| time.of_rounds(&forecast, in_effect, rounds));
     let request = Request { capture, effective, limit };
-    context.sink.event(&Event::Planned {
-        rounds: rounds.rounds,
-        views: rounds.views,
-        shake: rounds.shake,
-        size: Some(rounds.size),
-        steps: Some(in_effect.steps_per_round()),
-    });
+    context.sink.event(&planned(rounds, in_effect));
     let is_smaller = in_effect.longest_side() < options.longest_side();
     if is_smaller {
         state.views = views::load(context, capture, &state.poses, in_effect)?;
@@ -163,6 +151,22 @@ pub fn run(
     }
     deliver(context, &mut report, &whole)?;
     Ok(Outcome { report })
+}
+
+/// The rounds as decided, over these views.
+fn rounds(effective: &Effective, views: &[View], shake: Option<CaptureShake>) -> Rounds {
+    Rounds {
+        rounds: effective.rounds(),
+        views: views.len() as u32,
+        shake,
+        size: views::longest_side(views).min(effective.options.longest_side()),
+    }
+}
+
+fn planned(rounds: Rounds, options: &Options) -> Event {
+    let Rounds { rounds, views, shake, size } = rounds;
+    let steps = Some(options.steps_per_round());
+    Event::Planned { rounds, views, shake, size: Some(size), steps }
 }
 
 /// A capture, and what its rounds do.
@@ -276,13 +280,9 @@ fn round(
         found.views.extend(late);
     }
     let exposures = std::mem::take(exposures);
-    context.sink.event(&Event::Planned {
-        rounds: options.round_count(),
-        views: views.len() as u32,
-        shake: report.capture_shake,
-        size: Some(views::longest_side(&views)),
-        steps: Some(options.steps_per_round()),
-    });
+    let rounds =
+        Rounds { rounds: options.round_count(), ..rounds(effective, &views, report.capture_shake) };
+    context.sink.event(&planned(rounds, options));
     *state = RoundState::new(context, request, tools, poses, views, exposures)?;
     state.output(context, tools, input.index, scene, on)
 }

@@ -123,7 +123,9 @@ impl Forecast {
     }
 
     fn seconds(&self, (part, work): &(Part, f64)) -> f64 {
-        work * self.known_pace(*part).unwrap_or_else(|| part.first_pace(self.on_gpu))
+        work * self
+            .known_pace(*part)
+            .unwrap_or_else(|| part.first_pace(self.on_gpu, rayon::current_num_threads()))
     }
 
     fn of(&self, work: &Work) -> Expected {

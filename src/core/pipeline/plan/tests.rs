@@ -498,3 +498,27 @@ fn a_shaken_capture_is_less_work_where_its_images_shrink() {
         assert!((0.5..0.9).contains(&share), "{share}");
     }
 }
+
+#[test]
+fn the_steps_of_a_round_are_those_that_its_training_reports() {
+    let mut begun = with_poses(history_of(1.0));
+    begun.take(0.0, &Event::StageStarted { stage: Stage::Reconstruct, round: 1 });
+    let eta = |total| {
+        let mut plan = begun.clone();
+        plan.take(1.0, &Event::advanced(Stage::Reconstruct, 100, total));
+        (plan.job.steps(1), plan.eta.expect("known"))
+    };
+    let ([usual, fewer, more], steps) = ([300, 150, 600].map(|total| eta(total).1), eta(150).0);
+    assert_eq!(steps, 150);
+    assert!(fewer < usual && usual < more, "{fewer} {usual} {more}");
+}
+
+#[test]
+fn a_plan_with_other_steps_needs_no_verdict_on_shake() {
+    let photographs = Photographs { views: 10, pixels: 2_000_000, longest: 560 };
+    let mut job = Job::new(&Preset::Standard.options(), photographs);
+    job.replan(2, 10, None, None, Some(70));
+    assert_eq!((job.steps(1), job.steps(2)), (70, 70));
+    job.train(1, 90);
+    assert_eq!((job.steps(1), job.steps(2)), (90, 70));
+}

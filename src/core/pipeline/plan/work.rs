@@ -43,11 +43,11 @@ impl Part {
     /// The parts of training.
     pub const TRAINING: [Self; 3] = [Self::Steps, Self::Kernels, Self::Cameras];
 
-    /// Seconds for a unit of its work where a machine has never done it: on a GPU, or as measured
-    /// on a processor with two cores (docs/results.md).
-    pub fn first_pace(self, on_gpu: bool) -> f64 {
-        match self {
-            Self::Steps | Self::Kernels | Self::Cameras | Self::Render if on_gpu => 0.02,
+    /// Seconds for a unit of its work where a machine has never done it: on a GPU, or on so many
+    /// threads of a processor, as measured on two.
+    pub fn first_pace(self, on_gpu: bool, threads: usize) -> f64 {
+        let on_two = match self {
+            Self::Steps | Self::Kernels | Self::Cameras | Self::Render if on_gpu => return 0.02,
             Self::Steps | Self::Cameras => 0.4,
             Self::Kernels | Self::Render | Self::Match => 0.8,
             Self::Poses => 0.1,
@@ -55,7 +55,8 @@ impl Part {
             Self::Evaluate => 1.5,
             Self::Deblur => 1.8,
             Self::Enhance => 3.0,
-        }
+        };
+        2.0 * on_two / threads as f64
     }
 }
 
