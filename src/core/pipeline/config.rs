@@ -24,9 +24,9 @@ pub use shake::{LossModel, ShakeModel, TrainOn};
 pub struct Options {
     /// How much detail is trained where `steps`, `size` and `cap` are `auto`.
     pub detail: Detail,
-    /// Minutes that the run may take once its photographs are read; `auto` sets no limit. `size`,
-    /// `cap` and `steps`, where they are `auto`, become as large as the time allows, by what this
-    /// machine's last runs took and whatever `detail` says.
+    /// Minutes that the run may take once its photographs are read; `auto` sets no limit. Where
+    /// `size`, `cap` and `steps` are `auto`, they are as large as this machine can manage in that
+    /// time, whatever `detail` says.
     #[schemars(schema_with = "setting::schema::<1, 1_440>")]
     pub minutes: Setting,
     /// Number of rounds, each of which brightens, deblurs and reconstructs. `auto` is 2, or 1 for a
