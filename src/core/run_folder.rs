@@ -275,7 +275,7 @@ impl WorkFolder {
         self.root.join("code_version.json")
     }
 
-    /// What a limit of minutes has room for, decided once.
+    /// The decisions about a run with a time limit.
     pub fn minutes(&self) -> PathBuf {
         self.root.join("minutes.json")
     }

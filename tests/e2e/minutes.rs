@@ -1,4 +1,4 @@
-//! A run with a limit of time.
+//! A run with a time limit.
 
 use std::fs;
 use std::path::Path;

@@ -22,7 +22,7 @@ pub struct Decision<'a> {
     pub options: Options,
     /// The detail, if it was left to the device.
     pub detail: Option<ChosenDetail>,
-    /// The limit of time, if there is one.
+    /// The time limit, if there is one.
     pub time: Option<TimeLimit>,
     /// The memory that the run needs, in words.
     need: String,

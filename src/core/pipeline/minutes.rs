@@ -1,8 +1,9 @@
-//! A limit of time: how large the images are, and how many Gaussians and steps a run has, where its
-//! options leave that open.
+//! A time limit: chooses the image size and the numbers of Gaussians and steps of a run, where its
+//! options leave them open.
 //!
-//! All three are chosen before the run, by the time that its parts took in this machine's last
-//! runs. Once the poses and the shake are known, the steps are chosen again, for the time left.
+//! All three are chosen before the run, by the times of its parts in this machine's last runs. The
+//! steps are chosen again once the poses and the shake are known, and adjusted once in each round
+//! by the pace of that round ([`Pacing`]).
 
 use serde::{Deserialize, Serialize};
 
@@ -30,8 +31,8 @@ struct Rung {
 /// More rounds have fewer steps each.
 const USUAL_ROUNDS: f64 = 2.0;
 
-/// The least that is worth a run, and the details `standard` and `high`. Between them all three
-/// grow together.
+/// The least worth running, and the numbers of the details `standard` and `high`. Between them all
+/// three grow together.
 const RUNGS: [Rung; 3] = [
     Rung { side: 280.0, cap: 10_000.0, steps: 300.0 },
     Rung { side: 560.0, cap: 30_000.0, steps: 1_000.0 },
@@ -45,7 +46,7 @@ const ALL_STEPS: (u32, u32) = (600, 7_000);
 /// Longest side of working images that the option allows, px.
 const LEAST_SIDE: u32 = 64;
 
-/// The numbers that a limit of time decides.
+/// The numbers chosen under a time limit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 struct Numbers {
     size: u32,
@@ -105,7 +106,7 @@ impl Rung {
     }
 }
 
-/// Refuses a limit of time where the options leave nothing to choose.
+/// Refuses a time limit where the options leave nothing to choose.
 ///
 /// # Errors
 /// [`OptionsError`].
@@ -126,7 +127,7 @@ fn minutes(options: &Options) -> Option<u32> {
     }
 }
 
-/// What a limit of time became: decided once, so that a run that is resumed goes on alike.
+/// The decisions under a time limit, made once and kept: a resumed run continues in the same way.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TimeLimit {
     depends_on: String,

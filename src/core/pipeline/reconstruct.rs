@@ -105,7 +105,7 @@ pub struct TrainingData<'a> {
     pub poses: &'a Poses,
     /// V_{i-1}, after the first round.
     pub before: Option<Predecessor<'a>>,
-    /// The limit of time, if there is one.
+    /// The time limit, if there is one.
     pub limit: Option<RoundsLimit<'a>>,
 }
 

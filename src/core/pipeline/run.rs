@@ -174,7 +174,7 @@ fn planned(rounds: Rounds, options: &Options) -> Event {
 struct Request<'a> {
     capture: &'a Capture,
     effective: &'a Effective,
-    /// The limit of time, if there is one.
+    /// The time limit, if there is one.
     limit: Option<RoundsLimit<'a>>,
 }
 

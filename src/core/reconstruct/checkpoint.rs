@@ -27,7 +27,7 @@ pub struct Checkpoint {
     pub fingerprint: u64,
     /// Next step, 0-based.
     pub step: u32,
-    /// Steps of the round: others than planned once the limit of time changed them.
+    /// Steps of the round: others than planned once the time limit changed them.
     pub steps: u32,
     /// Gaussians at the start of the round.
     pub start_count: u32,

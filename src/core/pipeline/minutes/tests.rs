@@ -1,4 +1,4 @@
-//! Tests of a limit of time: what it chooses, and how a round keeps to it.
+//! Tests of a time limit: what it chooses, and how a round keeps to it.
 
 use super::*;
 use crate::metrics::CaptureShake;

@@ -10,7 +10,7 @@ use crate::pipeline::tools::Tools;
 use crate::pipeline::views::working_size;
 use crate::pipeline::workspace::Workspace;
 
-/// What is known of a machine's pace with some tools, and of the photographs.
+/// Predicts the time of runs over some photographs with some tools on this machine.
 pub struct Forecast {
     /// Width and height of the photographs, px.
     sizes: Vec<[usize; 2]>,

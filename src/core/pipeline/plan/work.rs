@@ -43,8 +43,8 @@ impl Part {
     /// The parts of training.
     pub const TRAINING: [Self; 3] = [Self::Steps, Self::Kernels, Self::Cameras];
 
-    /// Seconds for a unit of its work where a machine has never done it: on a GPU, or on so many
-    /// threads of a processor, as measured on two.
+    /// Assumed seconds per unit of work on a machine that has not run this part yet: on a GPU, or
+    /// on this many threads of a processor, scaled from a measurement on two.
     pub fn first_pace(self, on_gpu: bool, threads: usize) -> f64 {
         let on_two = match self {
             Self::Steps | Self::Kernels | Self::Cameras | Self::Render if on_gpu => return 0.02,
@@ -129,7 +129,7 @@ pub struct Job {
     searches: bool,
     /// Views with a kernel in the next round, once known.
     kernels: Option<f64>,
-    /// Steps of the rounds that have been in training; a limit of time changes them.
+    /// Steps of the rounds that have been in training; a time limit changes them.
     trained: BTreeMap<u32, u32>,
 }
 
