@@ -27,7 +27,7 @@ export const PHONE = { width: 360, height: 740 };
 export class Browser {
   /**
    * Starts a browser for the server at `base`. Full Chromium takes twice the processor time, to draw
-   * windows that nobody sees.
+   * windows that are never shown.
    */
   static async start(base) {
     const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium-headless-shell";

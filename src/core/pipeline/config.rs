@@ -219,7 +219,7 @@ pub enum Preset {
 }
 
 /// The rounds that `auto` stands for.
-const USUAL_ROUNDS: u32 = 2;
+pub const USUAL_ROUNDS: u32 = 2;
 
 impl Preset {
     pub const ALL: [Self; 5] = [Self::Auto, Self::Preview, Self::Standard, Self::High, Self::Paper];

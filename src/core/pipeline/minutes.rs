@@ -7,7 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::config::{Options, OptionsError, Setting};
+use super::config::{Options, OptionsError, Setting, USUAL_ROUNDS};
 use super::context::Context;
 use super::effective::Effective;
 use super::error::PipelineError;
@@ -24,12 +24,9 @@ struct Rung {
     /// Longest side of the working images, px.
     side: f64,
     cap: f64,
-    /// Steps of each of [`USUAL_ROUNDS`].
+    /// Steps of each of [`USUAL_ROUNDS`]; more rounds have fewer each.
     steps: f64,
 }
-
-/// More rounds have fewer steps each.
-const USUAL_ROUNDS: f64 = 2.0;
 
 /// The least worth running, and the numbers of the details `standard` and `high`. Between them all
 /// three grow together.
@@ -100,7 +97,7 @@ impl Rung {
         let numbers = Numbers {
             size: rounded(self.side, 20.0).min(longest.max(LEAST_SIDE)),
             cap: rounded(cap, 1_000.0),
-            steps: rounded(self.steps * USUAL_ROUNDS / rounds, 10.0).max(10),
+            steps: rounded(self.steps * f64::from(USUAL_ROUNDS) / rounds, 10.0).max(10),
         };
         numbers.options(options)
     }
@@ -235,8 +232,8 @@ impl TimeLimit {
             context.sink.warn("minutes", message);
         } else if self.seconds > self.limit() {
             let message = format!(
-                "the run takes about {takes} on this machine, longer than the {limit}, and the \
-                 options leave nothing to make smaller"
+                "even with the least detail that these options allow, the run takes about {takes} \
+                 on this machine, longer than the {limit}"
             );
             context.sink.warn("minutes", message);
         }

@@ -21,8 +21,8 @@ fn by_steps(options: &Options) -> Expected {
 #[test]
 fn more_time_gives_larger_images_more_gaussians_and_more_steps() {
     let of = |limit| numbers(&climb(limit, &auto(), 4_000, by_steps).0);
-    assert_eq!(of(1.0), (560, 30_000, 1_000), "as the detail `standard`");
-    assert_eq!(of(1e9), (1_600, 1_000_000, 3_500), "never more than the detail `high`");
+    assert_eq!(of(1.0), numbers(&Preset::Standard.options()));
+    assert_eq!(of(1e9), numbers(&Preset::High.options()), "never more");
     assert_eq!(of(0.0), (280, 10_000, 300), "never less than is worth a run");
     let (side, cap, steps) = of(2.0);
     assert!((960..1_040).contains(&side), "{side}");

@@ -20,10 +20,10 @@ pub struct Forecast {
     history: History,
 }
 
-/// Share of a time to come that may be guessed without a word.
-const GUESSED_SHARE: f64 = 0.1;
+/// Largest share of an expected time that may rest on guesses without a warning.
+const MOST_GUESSED: f64 = 0.1;
 
-/// A time to come.
+/// The time that something is expected to take.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Expected {
     pub seconds: f64,
@@ -132,7 +132,7 @@ impl Forecast {
         let unknown = work.iter().filter(|(part, _)| self.known_pace(*part).is_none());
         let unknown: f64 = unknown.map(|one| self.seconds(one)).sum();
         let seconds = work.iter().map(|one| self.seconds(one)).sum();
-        Expected { seconds, is_known: unknown <= GUESSED_SHARE * seconds }
+        Expected { seconds, is_known: unknown <= MOST_GUESSED * seconds }
     }
 
     fn steps_and_other(&self, work: Work) -> [f64; 2] {
