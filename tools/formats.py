@@ -40,7 +40,7 @@ def of_ply(path):
 
 
 def of_three(text):
-    """The Gaussians that peers.mjs prints."""
+    """The Gaussians that peers.mjs prints, and the matrix of their node."""
     read = json.loads(text)
     count = read["count"]
     colours = np.array(read["colour"]).reshape(count, 4) / 255
@@ -48,11 +48,11 @@ def of_three(text):
              for degree, band in enumerate(read["harmonics"], 1)]
     higher = (np.concatenate(bands, axis=1) if bands else np.zeros((count, 0))) / 128 - 1
     return {
-        "position": np.array(read["position"]).reshape(count, 3) + read["translation"],
+        "position": np.array(read["position"]).reshape(count, 3),
         "covariance": np.array(read["covariance"]).reshape(count, 6),
         "colour": colours[:, :3], "opacity": colours[:, 3:],
         "harmonics": higher.reshape(count, higher.shape[1] // 3, 3),
-    }
+    }, np.array(read["node"]).reshape(4, 4).T
 
 
 def of_mesh_ply(path):
@@ -100,7 +100,7 @@ def mesh_faults(mesh):
 
 
 def of_usd(path):
-    """The Gaussians of the only ParticleField3DGaussianSplat in a USD file, in the world with y up, and their offset."""
+    """The Gaussians of the only ParticleField3DGaussianSplat in a USD file, in the world with y up, and the matrix above them."""
     from pxr import Usd, UsdGeom, UsdVol
 
     stage = Usd.Stage.Open(str(path))
@@ -125,7 +125,7 @@ def of_usd(path):
         "colour": 0.5 + Y00 * sh[:, 0],
         "opacity": np.array(own["opacities"], dtype=float)[:, None],
         "harmonics": sh[:, 1:],
-    }, np.array(UsdGeom.XformCache().GetLocalToWorldTransform(found[0]))[3, :3]
+    }, np.array(UsdGeom.XformCache().GetLocalToWorldTransform(found[0])).T
 
 
 def y_up(scene):
@@ -136,6 +136,13 @@ def y_up(scene):
         "position": scene["position"] * [1, -1, -1], "covariance": scene["covariance"] * [1, -1, -1, 1, 1, 1],
         "harmonics": scene["harmonics"] * signs[:, None],
     }
+
+
+def tilt(node, cameras):
+    """How far the horizontal axes of cameras in cameras.json are from horizontal after a node, degrees, in the mean."""
+    right = np.array([camera["world_to_camera"][0][:3] for camera in cameras])
+    shown = right * [1, -1, -1] @ node[:3, :3].T
+    return np.degrees(np.abs(np.arcsin(shown[:, 1] / np.linalg.norm(shown, axis=1)))).mean()
 
 
 def trace(scene):

@@ -4,7 +4,8 @@
 //
 // FOLDER holds the node_modules with three. Printed of a mesh are, for each vertex, its place, normal and colour in linear
 // light, and the vertices of each triangle. Printed of a scene are, for each Gaussian, its centre, its covariance (xx, xy, xz, yy,
-// yz, zz), its colour and opacity in 0 to 255, and its higher harmonics in steps of 1/128 from 128, by degree.
+// yz, zz), its colour and opacity in 0 to 255, and its higher harmonics in steps of 1/128 from 128, by degree; and the matrix
+// of the node, column by column.
 
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
@@ -34,7 +35,7 @@ async function onlyMesh() {
 
 async function ofGltf() {
   const { splatGeometry, matrixWorld } = await onlyMesh();
-  return { splats: splatGeometry, translation: matrixWorld.elements.slice(12, 15) };
+  return { splats: splatGeometry, node: matrixWorld.elements };
 }
 
 async function ofMesh() {
@@ -47,17 +48,17 @@ async function ofMesh() {
 
 async function ofSpz() {
   const SPZLoader = await loader("SPZLoader");
-  return { splats: await new SPZLoader().parse(bytes), translation: [0, 0, 0] };
+  return { splats: await new SPZLoader().parse(bytes), node: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1] };
 }
 
 async function ofScene() {
-  const { splats, translation } = await (file.endsWith(".glb") ? ofGltf() : ofSpz());
+  const { splats, node } = await (file.endsWith(".glb") ? ofGltf() : ofSpz());
   const { position, covariance, color } = splats.attributes;
   const harmonics = [1, 2, 3].map((degree) => splats.attributes[`sphericalHarmonics${degree}`]).filter(Boolean);
   const words = harmonics.map(({ array, itemSize }) => ({ bytes: Array.from(new Uint8Array(array.buffer)), row: 4 * itemSize }));
   return {
     count: position.count,
-    translation,
+    node,
     position: Array.from(position.array),
     covariance: Array.from(covariance.array),
     colour: Array.from(color.array),

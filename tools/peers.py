@@ -18,6 +18,7 @@ import sys
 from pathlib import Path
 
 import formats
+import numpy as np
 import plyfile
 
 TOP = Path(__file__).resolve().parent.parent
@@ -190,9 +191,8 @@ def judge_by_three(fled, folder, name):
     """Compares an export read by three.js with the numbers of the scene."""
     file = folder.with_name(f"{folder.name}.{name}")
     run([fled, "export", folder, name, "-o", file])
-    text = subprocess.run(["node", READER, FOLDER / "npm", file], stdout=subprocess.PIPE, check=True).stdout
-    ours = formats.y_up(formats.of_ply(folder / "scene.ply"))
-    judged("three.js", file, name, ours, formats.of_three(text))
+    theirs, _ = of_three(file)
+    judged("three.js", file, name, formats.y_up(formats.of_ply(folder / "scene.ply")), theirs)
 
 
 def judge_converted(program, folder, name, ours):
@@ -210,10 +210,28 @@ def judge_usd(fled, folder):
     """Compares the USD file read by usd-core, as attributes of its schema, with the numbers of the scene."""
     file = folder.with_name(f"{folder.name}.scene.usda")
     run([fled, "export", folder, "scene.usda", "-o", file])
-    theirs, offset = formats.of_usd(file)
-    if offset.any():
-        raise SystemExit(f"{file} has the offset {offset}, scene.ply has none")
+    theirs, _ = formats.of_usd(file)
     judged("usd-core", file, "scene.usda", formats.y_up(formats.of_ply(folder / "scene.ply")), theirs)
+
+
+def judge_nodes(fled, folder):
+    """Compares the nodes read by three.js and usd-core with each other, and has them level the cameras, at a scale of 2.5."""
+    cameras, nodes = json.loads((folder / "cameras.json").read_text()), []
+    for name, reader in (("scene.glb", of_three), ("scene.usda", formats.of_usd)):
+        file = folder.with_name(f"{folder.name}.scaled.{name}")
+        run([fled, "export", folder, name, "--scale", 2.5, "-o", file])
+        nodes.append(reader(file)[1])
+    linear = nodes[0][:3, :3] / 2.5
+    apart, tilt = abs(nodes[0] - nodes[1]).max(), formats.tilt(nodes[0], cameras)
+    if not (apart < 1e-6 and abs(linear @ linear.T - np.eye(3)).max() < 1e-6 and np.linalg.det(linear) > 0 and tilt < 1):
+        raise SystemExit(f"three.js and usd-core read the nodes\n{nodes[0]}\n{nodes[1]}\nwith which cameras are {tilt} degrees from level")
+    said(f"three.js, usd-core: the same node, apart by {apart:.1g}; cameras are {tilt:.2f} degrees from level in it")
+
+
+def of_three(file):
+    """The Gaussians that three.js reads in a file, and the matrix of their node."""
+    text = subprocess.run(["node", READER, FOLDER / "npm", file], stdout=subprocess.PIPE, check=True).stdout
+    return formats.of_three(text)
 
 
 def judge_mesh(fled, folder):
@@ -266,6 +284,7 @@ def main():
         judge_by_three(fled, folder, "scene.glb")
         judge_usd(fled, folder)
         if folder == trained:
+            judge_nodes(fled, folder)
             judge_mesh(fled, folder)
         for name in ("scene.v3.spz", "scene.spz"):
             judge_by_three(fled, folder, name)

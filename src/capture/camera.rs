@@ -2,6 +2,7 @@
 
 pub mod normalisation;
 pub mod orbit;
+pub mod upright;
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};
 use serde::{Deserialize, Serialize};
@@ -97,6 +98,11 @@ impl Camera {
     /// Unit viewing direction in the world.
     pub fn forward(&self) -> DVec3 {
         self.rotation().transpose() * DVec3::Z
+    }
+
+    /// The unit world direction that points right in the image.
+    pub fn right(&self) -> DVec3 {
+        self.rotation().transpose() * DVec3::X
     }
 
     /// The unit world direction that points down in the image.

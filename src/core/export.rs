@@ -200,13 +200,17 @@ impl Export {
     ) -> Result<Prepared, ExportError> {
         let path = run.scene_of(round);
         self.check(round, trim)?;
-        let flat = |bytes_of, write| Content::scene(&path, trim, bytes_of, WriteScene::Flat(write));
-        let placed =
-            |bytes_of, write| Content::scene(&path, trim, bytes_of, WriteScene::Placed(write));
-        let placement = trim.placement();
+        let flat = |bytes_of, write| {
+            Content::scene(&path, trim, bytes_of, WriteScene::Flat(write), trim.placement(&[]))
+        };
+        let placed = |bytes_of, write| {
+            let placement = trim.placement(&cameras::cameras(run, round)?);
+            Content::scene(&path, trim, bytes_of, WriteScene::Placed(write), placement)
+        };
         let mesh = |format| -> Result<Content, ExportError> {
             let (scene, _) = Source::of(&path, trim)?;
             let cameras = cameras::cameras(run, round)?;
+            let placement = trim.placement(&cameras);
             Ok(Content::Unmeshed { scene, cameras, detail: trim.mesh, format, placement })
         };
         Ok(Prepared(match self {
@@ -356,10 +360,11 @@ impl Content {
         trim: Trim,
         bytes_of: fn(usize, u32) -> u64,
         write_to: WriteScene,
+        placement: Placement,
     ) -> Result<Self, ExportError> {
         let (scene, (gaussians, sh_degree)) = Source::of(path, trim)?;
         let bytes = bytes_of(gaussians, sh_degree);
-        Ok(Self::Scene { scene, bytes, write_to, placement: trim.placement() })
+        Ok(Self::Scene { scene, bytes, write_to, placement })
     }
 
     /// The scene's own file.

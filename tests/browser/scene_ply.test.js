@@ -172,6 +172,25 @@ test("orbiting keeps the view on the point ahead", () => {
   near(Math.hypot(...pose.eye), 2, "as far as before", 1e-4);
 });
 
+test("up is across the level axes of cameras that look down, and below for a drone", () => {
+  /** A camera in a world whose y points down, turned right by `heading` and up by `pitch`. */
+  const turnedBy = (heading, pitch) => {
+    const [h, p] = [heading, pitch].map((degrees) => (degrees * Math.PI) / 180);
+    const y = [Math.sin(h) * Math.sin(p), Math.cos(p), Math.cos(h) * Math.sin(p)];
+    const z = [Math.sin(h) * Math.cos(p), -Math.sin(p), Math.cos(h) * Math.cos(p)];
+    const rows = [[Math.cos(h), 0, -Math.sin(h), 0], [...y, 0], [...z, 0], [0, 0, 0, 1]];
+    return { world_to_camera: rows };
+  };
+  const row = [...Array(12).keys()];
+  const error = (cameras) => {
+    const { up } = surroundingsOf(cameras);
+    return (Math.acos(Math.min(1, -up[1])) * 180) / Math.PI;
+  };
+  assert.ok(error(row.map((i) => turnedBy(i * 6, -40))) < 1);
+  near(error(row.map(() => turnedBy(0, 3))), 3, "all look one way", 0.01);
+  near(error(row.map((i) => turnedBy(i * 30, -90))), 0, "straight down", 1e-3);
+});
+
 test("a view straight down, as from a drone, can look up again", () => {
   const down = orbited(START, { ...AROUND, up: [0, 0, -1] }, 0, 0);
   const raised = looked(down, { ...AROUND, up: [0, 0, -1] }, 0, 0.5);

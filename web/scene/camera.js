@@ -10,6 +10,10 @@ const NEAREST = 0.15;
 const FARTHEST = 12;
 /** Weight of a guess against the crossing of the lines of sight, as in orbit.rs. */
 const GUESS_WEIGHT = 1e-3;
+/** How level people hold a camera and how far all look up or down, degrees, as in upright.rs. */
+const ROLL = 2.5;
+const PITCH = 15;
+const LEAST_SHARE = 0.1;
 
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
@@ -78,14 +82,25 @@ export function surroundingsOf(cameras) {
   const centre = isAhead ? found : guess;
   const distances = poses.map(({ eye }) => Math.hypot(...along(eye, centre, -1)));
   const radius = distances.sort((a, b) => a - b)[Math.floor(distances.length / 2)];
-  const down = unit(mean(poses.map(({ axes }) => axes[1])));
-  return { centre, radius: radius || 1, up: down.map((value) => -value) };
+  return { centre, radius: radius || 1, up: upOf(poses) };
+}
+
+/** The direction that is up in the world of these poses, as upright.rs finds it. */
+function upOf(poses) {
+  const rows = diagonal((ROLL / PITCH) ** 2);
+  for (const { axes: [x] } of poses) {
+    for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) rows[i][j] += x[i] * x[j];
+  }
+  const against = (k) => mean(poses.map(({ axes }) => axes[k])).map((value) => -value);
+  const upward = against(1);
+  const up = unit(solved(rows, upward));
+  return dot(up, upward) >= LEAST_SHARE ? up : unit(solved(rows, against(2)));
 }
 
 /** The point nearest to all lines of sight, pulled slightly towards the guess. */
 function crossing(poses, guess) {
   const weight = GUESS_WEIGHT * poses.length;
-  const rows = [[weight, 0, 0], [0, weight, 0], [0, 0, weight]];
+  const rows = diagonal(weight);
   const sums = guess.map((value) => weight * value);
   for (const { axes: [, , f], eye } of poses) {
     for (let i = 0; i < 3; i++) {
@@ -96,8 +111,14 @@ function crossing(poses, guess) {
       }
     }
   }
+  return solved(rows, sums);
+}
+
+const diagonal = (value) => [[value, 0, 0], [0, value, 0], [0, 0, value]];
+
+/** The solution of three equations by Cramer's rule. The matrix is symmetric: rows are columns. */
+function solved(rows, sums) {
   const whole = dot(rows[0], cross(rows[1], rows[2]));
-  // Cramer's rule; the matrix is symmetric, so its rows are its columns.
   return [0, 1, 2].map((k) => {
     const [a, b, c] = rows.map((row, i) => (i === k ? sums : row));
     return dot(a, cross(b, c)) / whole;

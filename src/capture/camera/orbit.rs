@@ -2,6 +2,7 @@
 
 use glam::{DMat3, DVec3};
 
+use super::upright::{mean, up};
 use super::{Camera, Intrinsics, NamedCamera};
 
 /// Weight of the guess "in front of the photographers" against the intersection of their lines of
@@ -9,6 +10,9 @@ use super::{Camera, Intrinsics, NamedCamera};
 const GUESS_WEIGHT: f64 = 1e-3;
 /// Highest absolute elevation, degrees: at the pole up is undefined.
 const STEEPEST: f64 = 85.0;
+/// Photographers this near to the vertical through the centre, as a share of their distance, are
+/// above it: the lower edges of their images are towards them.
+const OVERHEAD: f64 = 0.05;
 
 /// An orbit. Azimuth 0, elevation 0 and distance 1 are the middle of the photographers.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,11 +33,16 @@ impl Orbit {
     pub fn from_cameras(cameras: &[NamedCamera]) -> Option<Self> {
         let intrinsics = cameras.first()?.intrinsics;
         let cameras: Vec<Camera> = cameras.iter().map(NamedCamera::camera).collect();
-        let up = -mean(&cameras, Camera::down).try_normalize()?;
+        let up = up(&cameras)?;
         let middle = mean(&cameras, Camera::centre);
         let centre = look_at_point(&cameras, middle)?;
         let towards = middle - centre;
-        let level = (towards - up * towards.dot(up)).try_normalize()?;
+        let levelled = |direction: DVec3| direction - up * direction.dot(up);
+        let mut level = levelled(towards);
+        if level.length() < OVERHEAD * towards.length() {
+            level = levelled(mean(&cameras, Camera::down));
+        }
+        let level = level.try_normalize().unwrap_or_else(|| up.any_orthonormal_vector());
         let mut distances: Vec<f64> = cameras.iter().map(|c| c.centre().distance(centre)).collect();
         distances.sort_by(f64::total_cmp);
         let radius = distances[distances.len() / 2];
@@ -90,10 +99,6 @@ impl Orbit {
             cy: height as f64 / 2.0,
         }
     }
-}
-
-fn mean(cameras: &[Camera], of: fn(&Camera) -> DVec3) -> DVec3 {
-    cameras.iter().map(of).sum::<DVec3>() / cameras.len() as f64
 }
 
 /// The point nearest to all optical axes, least squares, with a small weight on a guess in front.

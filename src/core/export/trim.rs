@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use glam::DVec3;
 
+use crate::camera::{NamedCamera, upright};
 use crate::gaussians::placement::Placement;
 use crate::gaussians::ply::Scene;
 use crate::mesh::Detail;
@@ -51,9 +52,12 @@ impl Trim {
         self.crop.is_none() && self.sh_degree.is_none()
     }
 
-    /// Where the export lies.
-    pub(super) fn placement(&self) -> Placement {
-        Placement { scale: self.scale.unwrap_or(1.0) }
+    /// Where the export lies that the cameras took, if its format has a place for it.
+    pub(super) fn placement(&self, cameras: &[NamedCamera]) -> Placement {
+        let scale = self.scale.unwrap_or(1.0);
+        let cameras: Vec<_> = cameras.iter().map(NamedCamera::camera).collect();
+        let placement = Placement { scale, ..Placement::default() };
+        upright::up(&cameras).map_or(placement, |up| Placement { up, ..placement })
     }
 
     /// The rest of a scene. A Gaussian is inside a crop if its centre is. Scale and fineness of a

@@ -3,7 +3,8 @@
 //! are unit quaternions x y z w, scales and opacities are not logarithms and logits but the numbers
 //! themselves, and the node has the placement, with an offset that `f32` cannot represent.
 //!
-//! glTF's y points up and its z backwards, so the scene is turned by half a turn about x.
+//! glTF's y points up and its z backwards, so the scene is turned by half a turn about x; the node
+//! has the rest of the rotation.
 
 pub(crate) mod container;
 

@@ -1,37 +1,58 @@
 //! Where an export lies in the programs that open it.
 
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 use serde_json::{Value, json};
 
 use crate::camera::normalisation::Normalisation;
+
+/// Up as cameras show it is that near to the axis of a map that it is the same, degrees.
+const NEAR_AXIS: f64 = 10.0;
 
 /// From the world of the poses to that of an export.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
     /// Units of the export per unit of the poses' world.
     pub scale: f64,
+    /// The unit vector of the poses' world that points up.
+    pub up: DVec3,
 }
 
 impl Default for Placement {
     fn default() -> Self {
-        Self { scale: 1.0 }
+        Self { scale: 1.0, up: DVec3::NEG_Y }
     }
 }
 
 impl Placement {
     /// The node of a file whose coordinates are in the world of the poses without the offset that
-    /// `f32` cannot represent, and turned so that y points up.
+    /// `f32` cannot represent, and turned by half a turn about x. With it, up is along y.
+    ///
+    /// The world of an offset is most often that of a map: up is its axis if one is near.
     pub(crate) fn node(&self, normalisation: &Normalisation) -> Node {
-        let DVec3 { x, y, z } = normalisation.missing_in_files();
-        Node { translation: self.scale * DVec3::new(x, -y, -z), scale: self.scale }
+        let turned = |DVec3 { x, y, z }| DVec3::new(x, -y, -z);
+        let axis = Some(nearest_axis(self.up)).filter(|axis| {
+            normalisation.left_out && axis.angle_between(self.up).to_degrees() < NEAR_AXIS
+        });
+        let rotation = DQuat::from_rotation_arc(turned(axis.unwrap_or(self.up)), DVec3::Y);
+        let offset = turned(normalisation.missing_in_files());
+        Node { translation: self.scale * (rotation * offset), rotation, scale: self.scale }
     }
 }
 
-/// The transform of a node; first it scales.
+/// The axis that is nearest to a direction, or its opposite.
+fn nearest_axis(direction: DVec3) -> DVec3 {
+    let along = direction.abs();
+    let axis = DVec3::AXES.into_iter().find(|axis| along.dot(*axis) == along.max_element());
+    axis.unwrap_or(DVec3::Y) * direction.dot(axis.unwrap_or(DVec3::Y)).signum()
+}
+
+/// The transform of a node: it scales, rotates and translates, in this order.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Node {
     /// Units of the export.
     pub translation: DVec3,
+    /// A unit quaternion.
+    pub rotation: DQuat,
     /// Of all lengths.
     pub scale: f64,
 }
@@ -42,10 +63,18 @@ impl Node {
         self.translation != DVec3::ZERO
     }
 
+    /// Whether it rotates.
+    pub fn rotates(&self) -> bool {
+        self.rotation != DQuat::IDENTITY
+    }
+
     /// Adds what is not the identity to a glTF node.
     pub fn add_to(&self, node: &mut Value) {
         if self.translates() {
             node["translation"] = json!(self.translation.to_array());
+        }
+        if self.rotates() {
+            node["rotation"] = json!(self.rotation.to_array());
         }
         if self.scale != 1.0 {
             node["scale"] = [self.scale; 3].into();

@@ -3,7 +3,8 @@
 //! not logarithms and logits but the numbers themselves, and the prim above has the placement, with
 //! an offset that `f32` cannot represent.
 //!
-//! The stage's y points up, so the scene is turned by half a turn about x.
+//! The stage's y points up, so the scene is turned by half a turn about x; the prim above has the
+//! rest of the rotation.
 
 use std::fmt::{self, Display};
 use std::io::{self, Write};
@@ -72,6 +73,11 @@ fn write_node(node: Node, out: &mut dyn Write) -> io::Result<()> {
         let place = Tuple(node.translation.to_array());
         writeln!(out, "    double3 xformOp:translate = {place}")?;
         operations.push("\"xformOp:translate\"");
+    }
+    if node.rotates() {
+        let [x, y, z, w] = node.rotation.to_array();
+        writeln!(out, "    quatd xformOp:orient = {}", Tuple([w, x, y, z]))?;
+        operations.push("\"xformOp:orient\"");
     }
     if node.scale != 1.0 {
         writeln!(out, "    double3 xformOp:scale = {}", Tuple([node.scale; 3]))?;

@@ -174,7 +174,7 @@ fn a_scale_is_in_a_plys_vertices_and_measures_and_in_a_gltfs_node() {
     let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
     let by = Normalisation { offset, scale: 0.0625, left_out: true };
     let far = of(&ball(by), &cameras(&directions(16), by), Detail::default()).expect("a mesh");
-    let (mut bytes, placement) = (Vec::new(), Placement { scale: 0.5 });
+    let (mut bytes, placement) = (Vec::new(), Placement { scale: 0.5, ..Placement::default() });
     write_ply(&far, placement, &mut bytes).expect("written");
     let end = b"end_header\n";
     let body = bytes.windows(end.len()).position(|word| word == end).expect("an end") + end.len();

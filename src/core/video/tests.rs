@@ -6,7 +6,7 @@ use tempfile::TempDir;
 
 use super::*;
 use crate::camera::orbit::Orbit;
-use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
+use crate::camera::{Camera, Intrinsics, NamedCamera, Split, upright};
 use crate::image::{Image, Srgb};
 
 const K: Intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
@@ -42,16 +42,15 @@ fn steps(cameras: &[Camera]) -> (f64, f64) {
 fn an_orbit_is_upright_looks_at_the_centre_and_ends_where_it_begins() {
     let views = ring(80.0);
     let orbit = Orbit::from_cameras(&views).expect("an orbit");
-    // Upright like the mean of the photographers: nothing else defines up.
-    let down: DVec3 = views.iter().map(|view| view.camera().down()).sum();
-    let down = down.normalize();
+    let photographers: Vec<_> = views.iter().map(NamedCamera::camera).collect();
+    let up = upright::up(&photographers).expect("an upward direction");
     for degrees in [None, Some(360.0)] {
         let plan = Plan { degrees, elevation: Some(10.0), ..Plan::new(Kind::Orbit) };
         let cameras = plan.cameras(&views).expect("cameras");
         assert_eq!(cameras.len(), 8 * 24);
         for camera in &cameras {
-            let right = camera.rotation().transpose() * DVec3::X;
-            assert!(right.dot(down).abs() < 1e-9, "it is tilted: {right}");
+            let right = camera.right();
+            assert!(right.dot(up).abs() < 1e-9, "it is tilted: {right}");
             let (pixel, _) = camera.project(orbit.centre).expect("in front");
             assert!((pixel.x - 48.0).abs() < 1e-6 && (pixel.y - 32.0).abs() < 1e-6);
         }

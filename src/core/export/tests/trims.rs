@@ -63,6 +63,29 @@ fn a_crop_is_in_the_world_of_the_poses() {
 }
 
 #[test]
+fn what_has_a_node_stands_upright_as_its_cameras_do() {
+    let (_folder, run) = result();
+    let up = DVec3::new(0.5, -0.8, 0.3).normalize();
+    let k = Intrinsics { width: 8, height: 6, fx: 9.5, fy: 9.25, cx: 4.0, cy: 3.125 };
+    let camera = |eye: [f64; 3]| {
+        NamedCamera::new("a", &Camera::look_at(k, eye.into(), DVec3::ONE, -up), Split::Train)
+    };
+    let cameras = [camera([3.0, 0.0, -3.0]), camera([-3.0, 0.0, -1.0]), camera([0.0, -2.0, 3.0])];
+    fs::write(run.cameras(), serde_json::to_vec(&cameras).expect("JSON")).expect("written");
+    for export in [Export::Gltf, Export::MeshGltf] {
+        let placement = match export.prepare(&run, None, Trim::default()).expect("there").0 {
+            Content::Scene { placement, .. } | Content::Unmeshed { placement, .. } => placement,
+            other => panic!("{other:?}"),
+        };
+        assert!(placement.up.angle_between(up) < 0.02, "{} {}", export.name(), placement.up);
+    }
+    fs::remove_file(run.cameras()).expect("removed");
+    let error = Export::Gltf.prepare(&run, None, Trim::default()).expect_err("no cameras");
+    assert!(error.to_string().contains("cameras.json"), "{error}");
+    assert!(!written(Export::Spz, &run, None).is_empty(), "it has no node");
+}
+
+#[test]
 fn harmonics_are_padded_and_cut() {
     let (_folder, run) = result();
     let own = ply::read(&run.scene()).expect("read").gaussians;

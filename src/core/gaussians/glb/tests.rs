@@ -1,4 +1,4 @@
-use glam::DVec3;
+use glam::{DQuat, DVec3};
 
 use super::super::fixtures::scattered;
 use super::container::{BINARY_CHUNK, FLOAT, JSON_CHUNK, MAGIC};
@@ -111,7 +111,7 @@ fn the_node_carries_a_scale_that_multiplies_the_offset_too() {
     let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation };
     let [one, large] = [1.0, 2.5].map(|scale| {
         let mut bytes = Vec::new();
-        write_to(&scene, Placement { scale }, &mut bytes).expect("written");
+        write_to(&scene, Placement { scale, ..Placement::default() }, &mut bytes).expect("written");
         bytes
     });
     let ((one, own), (large, placed)) = (parsed(&one), parsed(&large));
@@ -119,6 +119,42 @@ fn the_node_carries_a_scale_that_multiplies_the_offset_too() {
     assert_eq!(one["nodes"][0]["scale"], Value::Null);
     assert_eq!(large["nodes"][0]["scale"], json!([2.5, 2.5, 2.5]));
     assert_eq!(large["nodes"][0]["translation"], json!([1_280_880.0, 13_530_880.0, -160.0]));
+}
+
+#[test]
+fn the_node_stands_the_scene_upright_and_a_map_on_its_axis() {
+    let offset = DVec3::new(512_352.0, 5_412_352.0, 64.0);
+    let east_north_up = |tilt: f64| DVec3::new(tilt.sin(), 0.0, tilt.cos());
+    for (up, left_out, stands) in [
+        (DVec3::new(0.2, -0.9, 0.4).normalize(), false, None),
+        (east_north_up(0.1), false, None),
+        (east_north_up(0.1), true, Some(DVec3::Z)),
+        (east_north_up(0.3), true, None),
+        (-east_north_up(0.1), true, Some(DVec3::NEG_Z)),
+    ] {
+        let normalisation = Normalisation { offset, scale: 0.0625, left_out };
+        let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation };
+        let mut bytes = Vec::new();
+        write_to(&scene, Placement { up, ..Placement::default() }, &mut bytes).expect("written");
+        let (document, buffer) = parsed(&bytes);
+        let node = &document["nodes"][0];
+        let vector = |name: &str| serde_json::from_value(node[name].clone()).unwrap_or_default();
+        let rotation =
+            DQuat::from_array(serde_json::from_value(node["rotation"].clone()).expect("four"));
+        let translation: [f64; 3] = vector("translation");
+        let placed = |at: DVec3| rotation * DVec3::new(at.x, -at.y, -at.z);
+        assert!((placed(stands.unwrap_or(up)) - DVec3::Y).length() < 1e-9, "{up}");
+        // The centre of a Gaussian in the file, placed by the node, is that of the world, turned.
+        let own: Vec<f64> =
+            numbers(&document, buffer, "POSITION")[..3].iter().map(|v| f64::from(*v)).collect();
+        let shown = rotation * DVec3::from_slice(&own) + DVec3::from_array(translation);
+        let world = normalisation.point_in_world(scene.gaussians.means[0].map(f64::from).into());
+        assert!((shown - placed(world)).length() < 0.5, "{shown} {world}");
+        if stands == Some(DVec3::Z) {
+            // East is x and north is away from the viewer.
+            assert!((shown - DVec3::new(world.x, world.z, -world.y)).length() < 0.5);
+        }
+    }
 }
 
 #[test]

@@ -77,7 +77,8 @@ fn the_prim_above_carries_a_scale_that_multiplies_the_offset_too() {
     let normalisation = Normalisation { offset, scale: 0.0625, left_out: true };
     let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation };
     let mut bytes = Vec::new();
-    write_to(&scene, Placement { scale: 2.5 }, &mut bytes).expect("written");
+    write_to(&scene, Placement { scale: 2.5, ..Placement::default() }, &mut bytes)
+        .expect("written");
     let text = String::from_utf8(bytes).expect("text");
     let node = "    double3 xformOp:translate = (1280880,13530880,-160)\n    double3 \
                 xformOp:scale = (2.5,2.5,2.5)\n    uniform token[] xformOpOrder = \
@@ -87,6 +88,20 @@ fn the_prim_above_carries_a_scale_that_multiplies_the_offset_too() {
         numbers(&text, "positions"),
         numbers(&written(&scene.gaussians, normalisation), "positions")
     );
+}
+
+#[test]
+fn the_prim_above_stands_the_scene_upright() {
+    let scene = Scene { gaussians: scattered(4, 1.0, 0), normalisation: Normalisation::default() };
+    let mut bytes = Vec::new();
+    let placement = Placement { up: DVec3::Z, ..Placement::default() };
+    write_to(&scene, placement, &mut bytes).expect("written");
+    let text = String::from_utf8(bytes).expect("text");
+    // A quarter of a turn about x, its real part first.
+    let [w, x, y, z] = numbers(&text, "xformOp:orient")[..] else { panic!("a quaternion") };
+    let half = 0.5_f32.sqrt();
+    assert!((w - half).abs() < 1e-6 && (x - half).abs() < 1e-6 && [y, z] == [0.0; 2], "{text}");
+    assert!(text.contains("xformOpOrder = [\"xformOp:orient\"]"));
 }
 
 #[test]
