@@ -10,7 +10,7 @@ import { notable } from "../../web/job/verdict.js";
 import { poseOf, surroundingsOf, unit } from "../../web/scene/camera.js";
 import { readHeader } from "../../web/scene/ply.js";
 import { Browser, PHONE, overflowing, picture } from "./browser.js";
-import { opened as unfolded } from "./played.js";
+import { provoked, opened as unfolded } from "./played.js";
 import { walled } from "./ply.js";
 import { Server } from "./server.js";
 import { until } from "./until.js";
@@ -189,7 +189,7 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     const cropped = () => section.locator("a[download]").evaluateAll((links) => links
       .filter(({ href }) => new URL(href).searchParams.has("crop")).map(({ download }) => download));
     assert.deepEqual(await cropped(), []);
-    const notice = section.getByRole("status");
+    const notice = section.locator(".notices");
     assert.equal(await notice.isVisible(), false);
     await select(page).selectOption("box");
     await notice.getByText("cropped to the box drawn in the 3D view.").waitFor();
@@ -210,6 +210,35 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     await settled(page);
     assert.equal(await select(page).inputValue(), "");
     assert.notEqual(await shown(page), whole);
+  }));
+
+test("a mesh is saved, and what the server refuses is not, for a reason on the page", () =>
+  opened("crop-refused", async (page, faults) => {
+    const section = await unfolded(page, "Export");
+    const pressed = (name) => section.getByRole("link", { name, exact: true }).click();
+    const mesh = page.waitForEvent("download");
+    await pressed("mesh.ply");
+    assert.equal((await mesh).suggestedFilename(), "mesh.ply");
+    const bytes = readFileSync(await (await mesh).path());
+    assert.equal(bytes.subarray(0, 4).toString(), "ply\n");
+
+    await select(page).selectOption("sphere");
+    await section.locator(".notices").getByText("cropped to the sphere").waitFor();
+    const cropped = page.waitForEvent("download");
+    await pressed("scene.ply");
+    assert.equal((await cropped).suggestedFilename(), "scene.ply");
+    await page.getByLabel("X of the crop's middle").fill("1e6");
+    await page.keyboard.press("Tab");
+    for (const [place, press] of [
+      [section.locator("li", { hasText: "mesh.ply" }), () => pressed("mesh.ply")],
+      [section.locator("li", { hasText: "scene.glb" }), () => pressed("scene.glb")],
+      [page.locator(".summary"), () => page.locator(".summary a[download]").click()],
+    ]) {
+      await press();
+      await place.locator(".problem", { hasText: "the scene is at" }).waitFor();
+    }
+    provoked(faults, 422);
+    await picture(page, "page-crop-refused");
   }));
 
 test("by keys alone a crop is chosen, placed in the middle of the picture, moved and dropped", () =>

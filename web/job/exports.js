@@ -1,6 +1,7 @@
 // A finished job's result in formats for other programs.
 
 import { api, count, h, size } from "../lib/dom.js";
+import { explained } from "../lib/download.js";
 import { shapingQuery } from "../lib/shaping.js";
 
 /**
@@ -35,10 +36,14 @@ export async function exportList(base, shaping) {
 function row(base, { name, about, bytes, has_scene: hasScene }) {
   const link = h("a", { class: "button", download: name }, name);
   const weight = h("span", { class: "soft" });
+  const note = h("p", { role: "status" });
+  const isMesh = name.startsWith("mesh.");
+  let isCropped = false;
+  explained(link, note, () => isMesh || isCropped, isMesh);
   return {
-    root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about)),
+    root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about), note),
     show({ crop, scale }) {
-      const isCropped = hasScene && crop !== null;
+      isCropped = hasScene && crop !== null;
       link.href = `${base}/exports/${name}${hasScene ? shapingQuery({ crop, scale }) : ""}`;
       // It is made while being sent.
       weight.textContent = `${isCropped ? "at most" : "about"} ${size(bytes)}`;

@@ -1,6 +1,7 @@
 // The summary of a finished job: the verdict, what was found and done, its downloads and links.
 
 import { count, h, size } from "../lib/dom.js";
+import { explained } from "../lib/download.js";
 import { leap } from "../lib/place.js";
 import { shapingQuery } from "../lib/shaping.js";
 import { took } from "../lib/state.js";
@@ -34,9 +35,11 @@ export function summary(job, report, artifacts, given, share, open, shaping) {
       h("span", { class: "hint" }, "Job ID ", h("code", {}, job.id), " ", navigator.clipboard && copy(job.id))));
 }
 
-/** The link to the scene, as the user has shaped it. */
+/** The link to the scene, as the user has shaped it, and a note of why it is refused. */
 function download(base, { bytes }, shaping) {
   const link = h("a", { class: "button main", download: "scene.ply" });
+  const note = h("p", { role: "status" });
+  explained(link, note, () => shaping.now.crop !== null);
   const show = () => {
     const { crop, scale } = shaping.now;
     const query = shapingQuery({ crop, scale });
@@ -48,7 +51,7 @@ function download(base, { bytes }, shaping) {
   show();
   // A newer summary takes the place of this one.
   const deaf = shaping.heard(() => (link.isConnected ? show() : deaf()));
-  return link;
+  return [link, note];
 }
 
 function verdictOf(report, open) {

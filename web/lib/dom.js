@@ -68,21 +68,31 @@ const SAME = 2000;
 export const serverNow = () => Date.now() + ahead;
 
 /**
- * A GET or other request; a problem document becomes a `Refusal`. If the server does not answer,
- * the window receives an `unanswered` event.
+ * The response to a GET or other request; a problem document becomes a `Refusal`. If the server
+ * does not answer, the window receives an `unanswered` event.
  * @param {string} path
  * @param {RequestInit} options
- * @returns {Promise<any>} Of the type that the caller expects.
  */
-export async function api(path, options = {}) {
+export async function answer(path, options = {}) {
   const response = await fetch(path, options).catch(() => {
     dispatchEvent(new Event("unanswered"));
     throw new Error("The server is not responding.");
   });
   const date = Date.parse(response.headers.get("date"));
   if (Math.abs(date - serverNow()) > SAME) ahead = date - Date.now();
-  if (response.ok) return response.status === 204 ? null : response.json();
+  if (response.ok) return response;
   throw new Refusal(response.status, await response.json().catch(() => null));
+}
+
+/**
+ * The JSON of an `answer`, `null` if it has none.
+ * @param {string} path
+ * @param {RequestInit} options
+ * @returns {Promise<any>} Of the type that the caller expects.
+ */
+export async function api(path, options = {}) {
+  const response = await answer(path, options);
+  return response.status === 204 ? null : response.json();
 }
 
 /** A request whose body is JSON. */

@@ -1,6 +1,7 @@
 // The current view, rendered by the server.
 
-import { Refusal, h } from "../lib/dom.js";
+import { answer } from "../lib/dom.js";
+import { saved } from "../lib/download.js";
 
 /** Longest side that the server renders, px. */
 const LONGEST = 2048;
@@ -23,13 +24,9 @@ export function request(scene, matrix, k, ev = 0) {
 
 /** Fetches the picture and has the browser save it as `name`. */
 export async function savedPicture(job, name, scene, matrix, k, ev) {
-  const response = await fetch(`v1/jobs/${job}/render`, {
+  const response = await answer(`v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify(request(scene, matrix, k, ev)),
   });
-  if (!response.ok) throw new Refusal(response.status, await response.json().catch(() => null));
-  const href = URL.createObjectURL(await response.blob());
-  h("a", { href, download: name }).click();
-  // The browser has read it by then.
-  setTimeout(() => URL.revokeObjectURL(href), 10_000);
+  saved(await response.blob(), name);
 }
