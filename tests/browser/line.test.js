@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 
-import { progressLine } from "../../web/lib/state.js";
+import { presetOf, progressLine } from "../../web/lib/state.js";
 
 /** A job that has searched for poses for some seconds. */
 const searching = (seconds, eta = null) => ({
@@ -28,4 +28,11 @@ test("a strategy that follows others has a name and a number", () => {
   assert.equal(at(strategies, 20), `poses · second try: ${strategies[1]} · 0:20 so far; usually one to two minutes`);
   assert.equal(at([...strategies, "another"], 20), "poses · third try: another · 0:20 so far; longer than usual");
   assert.equal(at(strategies.slice(0, 1), 121), "poses · 2:01 so far; longer than usual");
+});
+
+test("a limit of time stands beside the preset, whose numbers it replaces", () => {
+  const job = { preset: "auto", detail: { level: "standard" }, options: { minutes: "auto" } };
+  assert.equal(presetOf(job), "auto: standard");
+  assert.equal(presetOf({ ...job, options: { minutes: 3 } }), "auto: standard, at most 3 minutes");
+  assert.equal(presetOf({ preset: "high", options: { minutes: 1 } }), "high, at most 1 minute");
 });

@@ -1,6 +1,6 @@
 // Text for a job's state.
 
-import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
+import { count, duration, h, plain, serverNow, stopwatch } from "./dom.js";
 
 /** @typedef {import("fled-api").Job} Job */
 
@@ -107,10 +107,13 @@ function elapsed(job, { strategies }, isKnown) {
 }
 
 /**
- * The preset's name, with the detail that the machine chose.
+ * The preset's name, with the detail that the machine chose and the limit of time.
  * @param {Job} job
  */
-export const presetOf = ({ preset, detail }) => (detail ? `${preset}: ${detail.level}` : preset);
+export const presetOf = ({ preset, detail, options: { minutes } }) =>
+  (detail ? `${preset}: ${detail.level}` : preset)
+    // Within a limit the numbers are not the preset's.
+    + (Number.isInteger(minutes) ? `, at most ${count(minutes, "minute")}` : "");
 
 /**
  * Time from the first attempt to the end; empty before that. Stage times may be longer, as they
