@@ -340,7 +340,7 @@ fn a_step_that_overflows_is_repeated_in_larger_buffers() {
 #[test]
 fn a_device_waits_for_the_host_only_where_the_scene_is_needed() {
     let scene = truth(60, 2);
-    let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
+    let views = views_of(&scene, &[-0.3, 0.3], [32, 24]);
     let idle = |steps, last, refine_poses| {
         let config = TrainConfig {
             resolution_schedule: true,

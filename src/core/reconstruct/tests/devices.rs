@@ -15,16 +15,11 @@ fn agreement(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) ->
 #[test]
 fn fifty_steps_agree_with_and_without_shake_masks_noise_and_growth() {
     let scene = truth(150, 8);
-    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [96, 64]);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [72, 48]);
     let plain = TrainConfig { background: Background::Random, ..config(50, 400) };
-    let found = agreement(&views, &scene, &plain);
-    assert!(found >= 45.0, "{found:.1} dB");
     let shaken = TrainConfig { shake: Some(Response::srgb()), ..plain.clone() };
-    let found = agreement(&views, &scene, &shaken);
-    assert!(found >= 45.0, "{found:.1} dB with shake");
-    let masked = covered(&views, [1.0, 0.0, 1.0], true);
-    let found = agreement(&masked, &scene, &plain);
-    assert!(found >= 45.0, "{found:.1} dB with masks");
+    let found = agreement(&covered(&views, [1.0, 0.0, 1.0], true), &scene, &shaken);
+    assert!(found >= 45.0, "{found:.1} dB with shake and masks");
     let found = agreement(&noisy::noisy(&views, true), &scene, &plain);
     assert!(found >= 45.0, "{found:.1} dB with noise that the loss expects");
     let with_field = TrainConfig { noise: NoiseMode::Paper, steps: 20, ..plain.clone() };
@@ -84,7 +79,7 @@ fn training_needs_as_much_device_memory_as_reckoned() {
     // A device of its own: the other tests allocate on the common one.
     let gpu = Gpu::new("auto").expect("an adapter");
     let device = Device::Gpu(gpu.clone());
-    for (gaussians, size) in [(20_000, [320, 240]), (3_000, [640, 480])] {
+    for (gaussians, size) in [(10_000, [200, 150]), (1_500, [400, 300])] {
         let scene = truth(gaussians / 4, 8);
         let views = views_of(&scene, &[-0.3, 0.0, 0.3], size);
         let shake = Some(Response::srgb());
