@@ -94,6 +94,7 @@ test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/v
 
 # FLED=PROGRAM judges that one and builds none.
 test-peers: setup onnxruntime matcher $(if $(FLED),,build) ## scene.ply and exports judged by software that is not ours, under .peers/
+	@tools/setup.sh $(if $(CHROMIUM),,chromium-headless-shell)
 	@$(PYTHON) tools/environment.py .peers/venv tools/peers-requirements.txt
 	.peers/venv/bin/python tools/peers.py $(if $(FLED),--fled $(FLED))
 

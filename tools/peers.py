@@ -3,8 +3,9 @@
 
     make test-peers
 
-Installs splat-transform and three.js under .peers/, makes a small capture, trains it for 200 steps, and has two scenes judged: the
-trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says why when a judge disagrees.
+Installs splat-transform, three.js and playwright-core under .peers/, makes a small capture, trains it for 200 steps, and
+has two scenes judged: the trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says why
+when a judge disagrees.
 """
 
 import argparse
@@ -24,10 +25,13 @@ import plyfile
 TOP = Path(__file__).resolve().parent.parent
 FOLDER, TRAINING = TOP / ".peers", TOP / "training"
 READER = TOP / "tools" / "peers.mjs"
+PAINTER = TOP / "tools" / "three_pictures.mjs"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # The newest version that runs on Node 18, the version of Debian 12.
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
 THREE = "three@0.187.0"
+# That of the browser tests.
+PLAYWRIGHT = "playwright-core@1.65.1"
 SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5", "--blur", "2", "--noise", "0.005"]
 OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off", "pose_source=given"]
 # Tolerance of a compressed scene: a step of an opacity, half a step of a harmonic. The bounds of the rest are exact.
@@ -66,13 +70,13 @@ def said(*words):
 
 
 def install_programs():
-    """Installs both from npm, without their install scripts: they fetch a WebGPU library that reading does not use."""
-    folder, packages = FOLDER / "npm", [SPLAT_TRANSFORM, THREE]
+    """Installs them from npm, without their install scripts: they fetch a WebGPU library that reading does not use."""
+    folder, packages = FOLDER / "npm", [SPLAT_TRANSFORM, THREE, PLAYWRIGHT]
     stamp, program = folder / "installed", folder / "node_modules" / ".bin" / "splat-transform"
     if not (stamp.is_file() and stamp.read_text() == "\n".join(packages)):
         if not shutil.which("npm"):
             raise SystemExit("npm is missing: run `apt-get install nodejs npm` as root, then again")
-        said(f"installing {' and '.join(packages)} from npm into .peers/npm")
+        said(f"installing {', '.join(packages)} from npm into .peers/npm")
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         run(["npm", "install", "--prefix", folder, "--ignore-scripts", "--no-audit", "--no-fund", *packages])
@@ -206,6 +210,15 @@ def judge_converted(program, folder, name, ours):
     judged("splat-transform", file, name, ours, formats.of_ply(read))
 
 
+def judge_pictures_of_three(folder, names):
+    """Compares three.js' pictures of the scene.glb that is there already with the published formulas."""
+    pictures = folder.with_name(folder.name + "-three")
+    shutil.rmtree(pictures, ignore_errors=True)
+    pictures.mkdir()
+    run(["node", PAINTER, FOLDER / "npm", folder.with_name(f"{folder.name}.scene.glb"), folder / "cameras.json", pictures, *names])
+    said(run([sys.executable, TRAINING / "judge_three.py", folder, pictures]).rstrip())
+
+
 def judge_usd(fled, folder):
     """Compares the USD file read by usd-core, as attributes of its schema, with the numbers of the scene."""
     file = folder.with_name(f"{folder.name}.scene.usda")
@@ -282,6 +295,7 @@ def main():
         judge_by_splat_transform(program, folder, expected)
         judge_compressed(program, fled, folder, expected)
         judge_by_three(fled, folder, "scene.glb")
+        judge_pictures_of_three(folder, [picture.stem for picture in sorted(pictures.iterdir())])
         judge_usd(fled, folder)
         if folder == trained:
             judge_nodes(fled, folder)

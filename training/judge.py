@@ -82,14 +82,19 @@ def report(verdicts, spoilt):
     return "\n".join(lines)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def arguments(about):
+    """The scene and the cameras of the run on the command line, and the folder of pictures."""
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
     parser.add_argument("pictures", type=Path)
     options = parser.parse_args()
     scene = published.read_scene(options.run / "scene.ply")
-    cameras = published.read_cameras(options.run / "cameras.json")
-    pictures = {path.stem: load_picture(path) for path in sorted(options.pictures.glob("*.png"))}
+    return scene, published.read_cameras(options.run / "cameras.json"), options.pictures
+
+
+def main():
+    scene, cameras, folder = arguments(__doc__)
+    pictures = {path.stem: load_picture(path) for path in sorted(folder.glob("*.png"))}
     verdicts = judge(scene, cameras, pictures)
     first = {name: pictures[name] for name in list(pictures)[:1]}
     spoilt = judge(with_swapped_quaternions(scene), cameras, first)

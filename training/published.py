@@ -157,14 +157,14 @@ def colours(scene, camera):
     return np.maximum((basis[:, :, None] * scene.harmonics).sum(1) + 0.5, 0)
 
 
-def flat_covariances(scene, camera, points):
+def flat_covariances(scene, camera, points, slope_limit=SLOPE_LIMIT):
     """[n, 2, 2] px^2: eq. 6, then eq. 5 with the Jacobian of the projection at the clamped point, then the low-pass."""
     spread = rotation_matrices(scene.rotations) * np.exp(scene.log_scales)[:, None]
     z = points[:, 2]
     jacobian = np.zeros((len(points), 2, 3))
     for axis, size in enumerate((camera.width, camera.height)):
         focal = camera.focal[axis]
-        limit = SLOPE_LIMIT * size / (2 * focal)
+        limit = slope_limit * size / (2 * focal)
         jacobian[:, axis, axis] = focal / z
         jacobian[:, axis, 2] = -focal * np.clip(points[:, axis] / z, -limit, limit) / z
     spread = jacobian @ camera.world_to_camera[:3, :3] @ spread

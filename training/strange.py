@@ -16,6 +16,8 @@ import plyfile
 COUNT = 600
 SIZE = (200, 120)
 FOCAL = 150.0
+# All cameras are held askew by that many degrees, so that the node of a glTF file rotates.
+ROLL = 20
 # Degrees about the vertical axis, and where the camera stands then.
 CAMERAS = {"front": (0, (0, 0, -4)), "left": (25, (-1.8, 0.3, -3.4)), "near": (-10, (0.4, -0.2, -2.2))}
 
@@ -47,11 +49,12 @@ def write_ply(path, columns):
     plyfile.PlyData([plyfile.PlyElement.describe(vertices, "vertex")], byte_order="<").write(path)
 
 
-def camera(name, degrees, place):
+def camera(name, degrees, place, roll=0):
     """An entry of `cameras.json`."""
-    sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    (sine, cosine), (rise, run) = ((np.sin(angle), np.cos(angle)) for angle in np.radians([degrees, roll]))
     pose = np.eye(4)
-    pose[:3, :3] = [[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]]
+    turned = [[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]]
+    pose[:3, :3] = np.array([[run, rise, 0], [-rise, run, 0], [0, 0, 1]]) @ turned
     pose[:3, 3] = -pose[:3, :3] @ place
     return {
         "name": name, "split": "held_out", "width": SIZE[0], "height": SIZE[1], "fx": FOCAL, "fy": 1.02 * FOCAL,
@@ -63,7 +66,7 @@ def main():
     folder = Path(sys.argv[1])
     folder.mkdir(parents=True, exist_ok=True)
     write_ply(folder / "scene.ply", gaussians(seed=5))
-    cameras = [camera(name, *stand) for name, stand in CAMERAS.items()]
+    cameras = [camera(name, *stand, ROLL) for name, stand in CAMERAS.items()]
     (folder / "cameras.json").write_text(json.dumps(cameras, indent=1))
     print(COUNT)
 

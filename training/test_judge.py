@@ -12,6 +12,7 @@ import numpy as np
 from PIL import Image
 
 import judge
+import judge_three
 import published
 import strange
 
@@ -41,6 +42,22 @@ def read(values):
 
 def render(**changed):
     return published.render(read(columns(**changed)), published.camera(entry()))
+
+
+class LikeThree(unittest.TestCase):
+    def test_one_gaussian_ends_at_two_standard_deviations_and_keeps_its_light(self):
+        scene, camera = read(columns()), published.camera(entry())
+        image = judge_three.draw(scene, camera, 0.01, 10)
+        before = (60 * 0.1 / 3) ** 2
+        variance = before + published.LOW_PASS
+        peak = (0.5 + np.sqrt(1 / (4 * np.pi))) / (1 + np.exp(-2)) * before / variance
+        self.assertAlmostEqual(float(image[16, 16, 0]), peak, places=6)
+        reach = int(2 * np.sqrt(variance))
+        self.assertAlmostEqual(float(image[16, 16 + reach, 0]), peak * np.exp(-0.5 * reach**2 / variance), places=6)
+        self.assertEqual(float(image[16, 17 + reach].sum()), 0)
+
+    def test_bins_come_nearest_first_and_within_one_the_last_first(self):
+        self.assertEqual(judge_three.order(np.array([9.0, 5.0, 1.0, 5.0001]), 0, 10).tolist(), [2, 3, 1, 0])
 
 
 class Formulas(unittest.TestCase):
