@@ -55,6 +55,15 @@ def of_three(text):
     }, np.array(read["node"]).reshape(4, 4).T
 
 
+def of_spark(rows, like):
+    """The Gaussians of a file that spark.mjs prints, with the harmonics of a scene, since it prints none."""
+    rows = np.array(rows, dtype=float)
+    return {
+        "position": rows[:, :3], "covariance": covariances(rows[:, [9, 6, 7, 8]], rows[:, 3:6]),
+        "colour": rows[:, 11:], "opacity": rows[:, 10:11], "harmonics": like["harmonics"],
+    }
+
+
 def of_mesh_ply(path):
     """The mesh in a PLY file as plyfile reads it; colours in linear light."""
     read = plyfile.PlyData.read(path)

@@ -3,7 +3,7 @@
 
     make test-peers
 
-Installs splat-transform, three.js and playwright-core under .peers/, makes a small capture, trains it for 200 steps, and
+Installs splat-transform, three.js, Spark and playwright-core under .peers/, makes a small capture, trains it for 200 steps, and
 has two scenes judged: the trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says why
 when a judge disagrees.
 """
@@ -21,6 +21,7 @@ from pathlib import Path
 import formats
 import numpy as np
 import plyfile
+from PIL import Image
 
 TOP = Path(__file__).resolve().parent.parent
 FOLDER, TRAINING = TOP / ".peers", TOP / "training"
@@ -30,6 +31,7 @@ LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # The newest version that runs on Node 18, the version of Debian 12.
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
 THREE = "three@0.187.0"
+SPARK = "@sparkjsdev/spark@2.2.0"
 # That of the browser tests.
 PLAYWRIGHT = "playwright-core@1.65.1"
 SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5", "--blur", "2", "--noise", "0.005"]
@@ -46,6 +48,8 @@ TOLERANCES = {
     "scene.spz": SPZ,
     "scene.sog": {"position": 1e-4, "size": 0.06, "shape": 0.05, "colour": 0.01, "opacity": 0.003, "harmonics": 0.5},
 }
+# dB of a trained scene's pictures after the rounding of a format.
+ROUNDED_LEAST = 35
 # three.js rounds the colours of a PLY to half of 1/255.
 MESH = {"position": 0, "normal": 0, "colour": 0.002}
 # The summary has six digits or six decimals: half of the last one, relative and absolute.
@@ -71,7 +75,7 @@ def said(*words):
 
 def install_programs():
     """Installs them from npm, without their install scripts: they fetch a WebGPU library that reading does not use."""
-    folder, packages = FOLDER / "npm", [SPLAT_TRANSFORM, THREE, PLAYWRIGHT]
+    folder, packages = FOLDER / "npm", [SPLAT_TRANSFORM, THREE, SPARK, PLAYWRIGHT]
     stamp, program = folder / "installed", folder / "node_modules" / ".bin" / "splat-transform"
     if not (stamp.is_file() and stamp.read_text() == "\n".join(packages)):
         if not shutil.which("npm"):
@@ -210,6 +214,38 @@ def judge_converted(program, folder, name, ours):
     judged("splat-transform", file, name, ours, formats.of_ply(read))
 
 
+def judge_rounded(program, fled, folder, name, pictures):
+    """Compares pictures of an export as splat-transform reads it with those of the scene."""
+    read = folder.with_name(f"{folder.name}.{name}.read")
+    read.mkdir(exist_ok=True)
+    run([program, "--overwrite", folder.with_name(f"{folder.name}.{name}"), read / "scene.ply"])
+    shutil.copy(folder / "cameras.json", read)
+    theirs = render(fled, read)
+    worst = min(psnr(theirs / picture.name, picture) for picture in pictures.iterdir())
+    if worst < ROUNDED_LEAST:
+        raise SystemExit(f"{name} as splat-transform reads it is {worst:.1f} dB from the scene's pictures")
+    said(f"splat-transform: {name} as it reads it is at least {worst:.1f} dB from the scene's pictures")
+
+
+def psnr(*paths):
+    """PSNR between two pictures, dB."""
+    first, second = (np.asarray(Image.open(path).convert("RGB"), float) / 255 for path in paths)
+    return -10 * math.log10(max(((first - second) ** 2).mean(), 1e-12))
+
+
+def judge_by_spark(folder):
+    """Compares exports that are there already, as Spark reads them, with the numbers of the scene but the harmonics."""
+    ours, names = formats.of_ply(folder / "scene.ply"), ("scene.v3.spz", "scene.sog", "scene.spz")
+    files = [folder.with_name(f"{folder.name}.{name}") for name in names]
+    text = subprocess.run(["node", TOP / "tools" / "spark.mjs", FOLDER / "npm", *files], stdout=subprocess.PIPE, check=True).stdout
+    *read, refused = json.loads(text)
+    for name, file, rows, own in zip(names, files, read, (formats.y_up(ours), formats.along_curve(ours))):
+        judged("Spark", file, name, own, formats.of_spark(rows, own), but=("harmonics",))
+    if not isinstance(refused, str):
+        raise SystemExit("Spark reads scene.spz of version 4: docs/usage.md says otherwise")
+    said(f"Spark refuses scene.spz, which is of version 4: {refused}")
+
+
 def judge_pictures_of_three(folder, names):
     """Compares three.js' pictures of the scene.glb that is there already with the published formulas."""
     pictures = folder.with_name(folder.name + "-three")
@@ -265,10 +301,10 @@ def judge_mesh(fled, folder):
         said(f"three.js: {name} of {file.stat().st_size} bytes is as plyfile reads it; {facts}")
 
 
-def judged(who, file, name, ours, theirs):
-    """Says how far apart both are, and fails if that is too far."""
-    apart = formats.differences(ours, theirs)
-    far = [part for part, most in TOLERANCES[name].items() if not apart[part] <= most]
+def judged(who, file, name, ours, theirs, but=()):
+    """Says how far apart both are but for some parts, and fails if that is too far."""
+    apart = {part: value for part, value in formats.differences(ours, theirs).items() if part not in but}
+    far = [part for part, value in apart.items() if not value <= TOLERANCES[name][part]]
     shown = ", ".join(f"{part} {value:.2g}" for part, value in apart.items())
     if far:
         raise SystemExit(f"{who} reads {file} otherwise: {shown}")
@@ -305,6 +341,10 @@ def main():
             judge_converted(program, folder, name, formats.of_ply(folder / "scene.ply"))
         run([fled, "export", folder, "scene.sog", "-o", folder.with_name(f"{folder.name}.scene.sog")])
         judge_converted(program, folder, "scene.sog", formats.along_curve(formats.of_ply(folder / "scene.ply")))
+        judge_by_spark(folder)
+        if folder == trained:
+            for name in ("compressed.ply", "scene.v3.spz", "scene.spz", "scene.sog"):
+                judge_rounded(program, fled, folder, name, pictures)
         said(run([sys.executable, TRAINING / "judge.py", folder, pictures]).rstrip())
 
 

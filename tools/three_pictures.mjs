@@ -6,25 +6,25 @@
 // FOLDER/depths.json: the nearest and the farthest depth that three.js sorts at, by name.
 
 import { readFileSync, writeFileSync } from "node:fs";
-import { createRequire } from "node:module";
-import { join } from "node:path";
+import { join, resolve } from "node:path";
+
+import { inBrowser } from "./in_browser.mjs";
 
 const [packages, file, cameras, folder, ...names] = process.argv.slice(2);
-const { chromium } = createRequire(`${packages}/`)("playwright-core");
-const PAGE = `<!doctype html>
-<style>body { margin: 0 }</style>
-<script type="importmap">{"imports": {
-  "three": "/three/build/three.webgpu.js", "three/webgpu": "/three/build/three.webgpu.js",
-  "three/tsl": "/three/build/three.tsl.js", "three/addons/": "/three/examples/jsm/"}}</script>
-<script type="module">
+const IMPORTS = {
+  "three": "three/build/three.webgpu.js",
+  "three/webgpu": "three/build/three.webgpu.js",
+  "three/tsl": "three/build/three.tsl.js",
+  "three/addons/": "three/examples/jsm/",
+};
+const SCRIPT = `
   import * as three from "three";
   import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
   import { GLTFGaussianSplatLoaderExtension as Splats } from "three/addons/loaders/GLTFGaussianSplatLoaderExtension.js";
-  Object.assign(window, { three, GLTFLoader, Splats });
-</script>`;
+  Object.assign(window, { three, GLTFLoader, Splats })`;
 
 /** Runs in the page: draws the scene as this camera of cameras.json sees it. */
-async function draw({ width, height, fx, fy, cx, cy, world_to_camera: rows }) {
+async function draw([path, { width, height, fx, fy, cx, cy, world_to_camera: rows }]) {
   const { three, GLTFLoader, Splats } = window;
   const renderer = new three.WebGPURenderer({ forceWebGL: true, antialias: false });
   // Splats have the colours of the screen already.
@@ -33,7 +33,7 @@ async function draw({ width, height, fx, fy, cx, cy, world_to_camera: rows }) {
   renderer.setSize(width, height);
   document.body.replaceChildren(renderer.domElement);
   await renderer.init();
-  const bytes = await (await fetch("/scene.glb")).arrayBuffer();
+  const bytes = await (await fetch(`/files/${path}`)).arrayBuffer();
   const gltf = await new GLTFLoader().register((parser) => new Splats(parser)).parseAsync(bytes, "");
   gltf.scene.updateMatrixWorld(true);
   let splats;
@@ -59,30 +59,14 @@ async function draw({ width, height, fx, fy, cx, cy, world_to_camera: rows }) {
   return [Math.max(near, -middle.z - radius), -middle.z + radius];
 }
 
-const browser = await chromium.launch({
-  executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium-headless-shell",
-  args: ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+await inBrowser(packages, IMPORTS, SCRIPT, async (page) => {
+  const known = JSON.parse(readFileSync(cameras));
+  const depths = {};
+  for (const name of names) {
+    const camera = known.find((one) => one.name === name);
+    await page.setViewportSize({ width: camera.width, height: camera.height });
+    depths[name] = await page.evaluate(draw, [resolve(file), camera]);
+    await page.locator("canvas").screenshot({ path: join(folder, `${name}.png`) });
+  }
+  writeFileSync(join(folder, "depths.json"), JSON.stringify(depths));
 });
-const known = JSON.parse(readFileSync(cameras));
-const depths = {};
-for (const name of names) {
-  const camera = known.find((one) => one.name === name);
-  const page = await browser.newPage({ viewport: { width: camera.width, height: camera.height } });
-  const faults = [];
-  page.on("pageerror", (error) => faults.push(error.message));
-  await page.route("**/*", (route) => {
-    const { pathname } = new URL(route.request().url());
-    if (pathname === "/") return route.fulfill({ body: PAGE, contentType: "text/html" });
-    if (pathname === "/scene.glb") return route.fulfill({ body: readFileSync(file) });
-    if (!pathname.startsWith("/three/")) return route.fulfill({ status: 404 });
-    return route.fulfill({ body: readFileSync(join(packages, "node_modules", pathname)), contentType: "text/javascript" });
-  });
-  await page.goto("http://three.test/");
-  await page.waitForFunction(() => "Splats" in window);
-  depths[name] = await page.evaluate(draw, camera);
-  await page.locator("canvas").screenshot({ path: join(folder, `${name}.png`) });
-  if (faults.length > 0) throw new Error(faults.join("\n"));
-  await page.close();
-}
-writeFileSync(join(folder, "depths.json"), JSON.stringify(depths));
-await browser.close();
