@@ -242,7 +242,7 @@ def judge_by_spark(folder):
     for name, file, rows, own in zip(names, files, read, (formats.y_up(ours), formats.along_curve(ours))):
         judged("Spark", file, name, own, formats.of_spark(rows, own), but=("harmonics",))
     if not isinstance(refused, str):
-        raise SystemExit("Spark reads scene.spz of version 4: docs/usage.md says otherwise")
+        raise SystemExit("Spark reads scene.spz of version 4: docs/exports.md says otherwise")
     said(f"Spark refuses scene.spz, which is of version 4: {refused}")
 
 
