@@ -201,16 +201,24 @@ impl Export {
         let path = run.scene_of(round);
         self.check(round, trim)?;
         let flat = |bytes_of, write| {
-            Content::scene(&path, trim, bytes_of, WriteScene::Flat(write), trim.placement(&[]))
+            Content::scene(
+                &path,
+                trim,
+                bytes_of,
+                WriteScene::Flat(write),
+                trim.placement(&[], false),
+            )
         };
         let placed = |bytes_of, write| {
-            let placement = trim.placement(&cameras::cameras(run, round)?);
+            let is_map = ply::read_extent(&path)?.normalisation.left_out;
+            let placement = trim.placement(&cameras::cameras(run, round)?, is_map);
             Content::scene(&path, trim, bytes_of, WriteScene::Placed(write), placement)
         };
         let mesh = |format| -> Result<Content, ExportError> {
             let (scene, _) = Source::of(&path, trim)?;
             let cameras = cameras::cameras(run, round)?;
-            let placement = trim.placement(&cameras);
+            let is_map = ply::read_extent(&path)?.normalisation.left_out;
+            let placement = trim.placement(&cameras, is_map);
             Ok(Content::Unmeshed { scene, cameras, detail: trim.mesh, format, placement })
         };
         Ok(Prepared(match self {
@@ -468,7 +476,7 @@ impl Prepared {
             }
             Content::Scene { scene, write_to, placement, .. } => {
                 let mut out = io::BufWriter::new(out);
-                write_to.to(scene.read()?, *placement, &mut out).map_err(ExportError::Write)
+                write_to.to(scene.read()?, *placement, &mut out).map_err(ExportError::of_format)
             }
             Content::Copy { path, .. } => {
                 let mut file = File::open(path).map_err(ExportError::io(path))?;
@@ -482,11 +490,11 @@ impl Prepared {
             Content::Unmeshed { scene, cameras, detail, format: (_, write_to), placement } => {
                 let mesh = mesh::of(&*scene.read()?, cameras, *detail)?;
                 let mut out = io::BufWriter::new(out);
-                write_to(&mesh, *placement, &mut out).map_err(ExportError::Write)
+                write_to(&mesh, *placement, &mut out).map_err(ExportError::of_format)
             }
             Content::Meshed { mesh, format: (_, write_to), placement } => {
                 let mut out = io::BufWriter::new(out);
-                write_to(mesh, *placement, &mut out).map_err(ExportError::Write)
+                write_to(mesh, *placement, &mut out).map_err(ExportError::of_format)
             }
         }
     }

@@ -172,7 +172,7 @@ test("orbiting keeps the view on the point ahead", () => {
   near(Math.hypot(...pose.eye), 2, "as far as before", 1e-4);
 });
 
-test("up is across the level axes of cameras that look down, and below for a drone", () => {
+test("up is perpendicular to the cameras' level axes, and above a drone's pictures", () => {
   /** A camera in a world whose y points down, turned right by `heading` and up by `pitch`. */
   const turnedBy = (heading, pitch) => {
     const [h, p] = [heading, pitch].map((degrees) => (degrees * Math.PI) / 180);
@@ -188,7 +188,13 @@ test("up is across the level axes of cameras that look down, and below for a dro
   };
   assert.ok(error(row.map((i) => turnedBy(i * 6, -40))) < 1);
   near(error(row.map(() => turnedBy(0, 3))), 3, "all look one way", 0.01);
-  near(error(row.map((i) => turnedBy(i * 30, -90))), 0, "straight down", 1e-3);
+  for (const step of [10, 15, 25, 30]) {
+    near(error(row.map((i) => turnedBy(i * step, -90))), 0, `straight down, by ${step}`, 0.5);
+  }
+  for (const legs of [2, 3, 5]) {
+    const flown = [...Array(8 * legs).keys()].map((i) => turnedBy(180 * (Math.floor(i / 8) % 2), -90));
+    near(error(flown), 0, `${legs} legs`, 0.5);
+  }
 });
 
 test("a view straight down, as from a drone, can look up again", () => {

@@ -13,7 +13,13 @@ const GUESS_WEIGHT = 1e-3;
 /** How level people hold a camera and how far all look up or down, degrees, as in upright.rs. */
 const ROLL = 2.5;
 const PITCH = 15;
+/** When cameras look straight down, as in upright.rs. */
 const LEAST_SHARE = 0.1;
+const IN_COMMON = 0.9;
+const LEVEL = 0.17;
+const LESS_ROLL = 0.09;
+const MORE = 0.3;
+const APART = 0.7;
 
 export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
@@ -92,9 +98,17 @@ function upOf(poses) {
     for (let i = 0; i < 3; i++) for (let j = 0; j < 3; j++) rows[i][j] += x[i] * x[j];
   }
   const against = (k) => mean(poses.map(({ axes }) => axes[k])).map((value) => -value);
-  const upward = against(1);
-  const up = unit(solved(rows, upward));
-  return dot(up, upward) >= LEAST_SHARE ? up : unit(solved(rows, against(2)));
+  const [upward, back] = [against(1), against(2)];
+  const [up, above] = [upward, back].map((wanted) => unit(solved(rows, wanted)));
+  const roll = (one) => Math.hypot(...poses.map(({ axes }) => dot(axes[0], one)))
+    / Math.sqrt(poses.length);
+  const rolls = [up, above].map(roll);
+  const shares = [dot(up, upward), dot(above, back)];
+  const isLevel = rolls[0] < rolls[1] + LESS_ROLL;
+  const isSimilar = Math.abs(dot(up, above)) > APART || shares[1] < shares[0] + MORE;
+  const mayBeOverhead = Math.hypot(...upward) < IN_COMMON && rolls[1] < LEVEL && shares[1] > MORE;
+  const isUnknown = shares[0] < LEAST_SHARE && shares[0] < shares[1];
+  return (mayBeOverhead && !(isLevel && isSimilar)) || isUnknown ? above : up;
 }
 
 /** The point nearest to all lines of sight, pulled slightly towards the guess. */

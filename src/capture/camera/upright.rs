@@ -8,15 +8,26 @@ use super::Camera;
 const ROLL: f64 = 2.5;
 /// How far a whole set of photographs looks up or down on average, degrees.
 const PITCH: f64 = 15.0;
-/// Below this share of upward in the images' own upward, the cameras look straight down or up.
+/// With less of the mean of the images' own upward directions in it, a direction is not up.
 const LEAST_SHARE: f64 = 0.1;
+/// Length of that mean from which the images have an upward direction in common.
+const IN_COMMON: f64 = 0.9;
+/// The sine of the greatest roll, in the mean, at which cameras count as level: 10 degrees.
+const LEVEL: f64 = 0.17;
+/// How much less roll, and how much more of its direction, looking straight down must leave.
+const LESS_ROLL: f64 = 0.09;
+const MORE: f64 = 0.3;
+/// The cosine of the least angle between two different answers.
+const APART: f64 = 0.7;
 
 /// The unit vector that is up in the world of these cameras; `None` if they do not determine it.
 ///
-/// The x axes of level cameras are horizontal, whatever the cameras look at, so up is across all of
-/// them. Where they all point one way, which leaves a pitch open, up is as near as possible to the
-/// mean of the images' own upward directions: the maximum of the posterior, with errors of [`ROLL`]
-/// for each camera and [`PITCH`] for the mean, in its linear form.
+/// The x axes of level cameras are horizontal, whatever the cameras look at, so up is perpendicular
+/// to all of them. Where they all point one way, which leaves a pitch open, up is as near as
+/// possible to the mean of the images' own upward directions: the maximum of the posterior, with
+/// errors of [`ROLL`] for each camera and [`PITCH`] for the mean, in its linear form. Cameras that
+/// look down from a drone have no such mean: for them up is opposite to where they look. Cameras
+/// that look straight up are taken for such, too.
 pub fn up(cameras: &[Camera]) -> Option<DVec3> {
     let mut matrix = DMat3::from_diagonal(DVec3::splat((ROLL / PITCH).powi(2)));
     for camera in cameras {
@@ -24,13 +35,35 @@ pub fn up(cameras: &[Camera]) -> Option<DVec3> {
         matrix += DMat3::from_cols(x * x.x, x * x.y, x * x.z);
     }
     let solve = matrix.inverse();
-    let upward = -mean(cameras, Camera::down);
-    let across = |wanted: DVec3| (solve * wanted).try_normalize();
-    match across(upward) {
-        Some(up) if up.dot(upward) >= LEAST_SHARE => Some(up),
-        // Seen from a drone, whose images have no upward in common, the ground is ahead.
-        _ => across(-mean(cameras, Camera::forward)),
-    }
+    let perpendicular = |wanted: DVec3| (solve * wanted).try_normalize();
+    let (upward, back) = (-mean(cameras, Camera::down), -mean(cameras, Camera::forward));
+    let (level, overhead) = (perpendicular(upward), perpendicular(back));
+    let (Some(up), Some(above)) = (level, overhead) else {
+        return level.or(overhead);
+    };
+    let rolls = [up, above].map(|up| roll(cameras, up));
+    let shares = [up.dot(upward), above.dot(back)];
+    let is_level = rolls[0] < rolls[1] + LESS_ROLL;
+    let is_similar = up.dot(above).abs() > APART || shares[1] < shares[0] + MORE;
+    let may_be_overhead = upward.length() < IN_COMMON && rolls[1] < LEVEL && shares[1] > MORE;
+    let is_overhead = may_be_overhead && !(is_level && is_similar);
+    let is_unknown = shares[0] < LEAST_SHARE && shares[0] < shares[1];
+    Some(if is_overhead || is_unknown { above } else { up })
+}
+
+/// The unit vector that is up in the world of a map that these cameras are in: its z axis, or else
+/// another axis, if the cameras are level to it, or else [`up`].
+pub fn up_of_map(cameras: &[Camera]) -> Option<DVec3> {
+    let up = up(cameras)?;
+    let axis = [DVec3::Z, DVec3::Y, DVec3::X].into_iter().find(|&axis| roll(cameras, axis) < LEVEL);
+    // Cameras that all look one way over a horizon that they do not show leave the sign open.
+    Some(axis.map_or(up, |axis| if up.dot(axis) < -LEAST_SHARE { -axis } else { axis }))
+}
+
+/// The root mean square of the sines of the cameras' roll, if that were up.
+fn roll(cameras: &[Camera], up: DVec3) -> f64 {
+    let squares = cameras.iter().map(|camera| camera.right().dot(up).powi(2));
+    (squares.sum::<f64>() / cameras.len() as f64).sqrt()
 }
 
 /// The mean of a direction of the cameras; NaN without any.
@@ -79,10 +112,67 @@ mod tests {
         assert!((error([[20.0, -10.0, 0.0]]) - 10.0).abs() < 0.1);
     }
 
+    /// Headings of a flight in `legs` there and back, or all in one direction for one leg.
+    fn flown(legs: usize) -> impl Iterator<Item = f64> {
+        (0..legs).flat_map(|leg| [180.0 * (leg % 2) as f64; 8])
+    }
+
     #[test]
     fn from_straight_above_the_ground_is_below() {
-        assert!(error((0..12).map(|i| [f64::from(i) * 30.0, -90.0, 0.0])) < 1e-6);
-        assert!(error((0..12).map(|i| [f64::from(i) * 30.0, -80.0, 0.0])) < 1e-6);
+        let pitched = |pitch| move |heading| [heading, pitch, 0.0];
+        let turned = |to: i32| (0..13).map(move |i| f64::from(i * to) / 12.0);
+        for pitch in [-90.0, -80.0] {
+            for to in [120, 150, 180, 270, 330] {
+                let found = error(turned(to).map(pitched(pitch)));
+                assert!(found < 2.0, "{found} at headings to {to}, pitch {pitch}");
+            }
+        }
+        for legs in [2, 3, 4, 5, 9] {
+            let found = error(flown(legs).map(pitched(-90.0)));
+            assert!(found < 0.5, "{found} in {legs} legs");
+        }
+        let shaky = turned(180).enumerate().map(|(i, heading)| {
+            [heading, -90.0 + [1.5, -1.0, 0.5][i % 3], [1.0, -1.5, 0.0, 1.2][i % 4]]
+        });
+        assert!(error(shaky) < 2.0);
+    }
+
+    #[test]
+    fn a_ceiling_is_above() {
+        assert!(error((0..12).map(|i| [f64::from(i) * 30.0, 75.0, 0.0])) < 0.5);
+    }
+
+    #[test]
+    fn a_map_keeps_the_axis_to_which_its_cameras_are_level() {
+        // Its y points down here, so that is its vertical axis; z and x are horizontal.
+        let of = |turns: &[[f64; 3]]| up_of_map(&cameras(turns.iter().copied())).expect("up");
+        let around: Vec<_> = (0..12).map(|i| [f64::from(i) * 30.0, -20.0, 3.0]).collect();
+        assert_eq!(of(&around), DVec3::NEG_Y);
+        // Turned so that z is up, as in UTM: a ring, one oblique leg, and one straight down.
+        let upright = DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2);
+        let one_way = |pitch: f64| vec![[1.0, pitch, 0.5], [-1.0, pitch, -0.5], [0.0, pitch, 0.0]];
+        for turns in [around, one_way(-60.0), one_way(-90.0), one_way(0.0)] {
+            let turned: Vec<Camera> = cameras(turns.iter().copied())
+                .iter()
+                .map(|camera| {
+                    let rotation = upright * DQuat::from_mat3(&camera.rotation()).inverse();
+                    Camera::from_pose(camera.intrinsics, rotation.inverse(), DVec3::ZERO)
+                })
+                .collect();
+            assert_eq!(up_of_map(&turned), Some(DVec3::Z), "{turns:?}");
+        }
+        // Level to no axis, as where the origin is the middle of the earth.
+        let tilted: Vec<_> = (0..12).map(|i| [f64::from(i) * 30.0, 0.0, 0.0]).collect();
+        let aslant = DQuat::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.5);
+        let cameras: Vec<Camera> = cameras(tilted)
+            .iter()
+            .map(|camera| {
+                let rotation = aslant * DQuat::from_mat3(&camera.rotation()).inverse();
+                Camera::from_pose(camera.intrinsics, rotation.inverse(), DVec3::ZERO)
+            })
+            .collect();
+        let found = up_of_map(&cameras).expect("up");
+        assert!(found.angle_between(aslant * DVec3::NEG_Y) < 0.01, "{found}");
     }
 
     #[test]

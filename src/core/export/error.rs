@@ -66,6 +66,9 @@ pub enum ExportError {
     /// A crop leaves nothing.
     #[error("no Gaussian's centre is inside the crop; the middle of the scene is at {0}")]
     NothingLeft(Middle),
+    /// The format cannot hold the scene, or not in these units.
+    #[error("{0}")]
+    Unsuited(io::Error),
     /// The recipient accepts no more data.
     #[error("it cannot be written: {0}")]
     Write(io::Error),
@@ -77,6 +80,14 @@ impl ExportError {
         move |source| Self::Io { path, source }
     }
 
+    /// Why a scene or a mesh was not written: the formats' own errors have no kind.
+    pub(super) fn of_format(source: io::Error) -> Self {
+        match source.kind() {
+            io::ErrorKind::Other => Self::Unsuited(source),
+            _ => Self::Write(source),
+        }
+    }
+
     /// Whether the wish cannot be met, whatever the result.
     pub fn is_of_wish(&self) -> bool {
         matches!(
@@ -86,6 +97,7 @@ impl ExportError {
                 | Self::NoMesh(_)
                 | Self::OnlyDelivered(_)
                 | Self::NothingLeft(_)
+                | Self::Unsuited(_)
                 | Self::Mesh(
                     MeshError::TooFine { .. } | MeshError::TooMany { .. } | MeshError::TooFew(_)
                 )

@@ -52,12 +52,13 @@ impl Trim {
         self.crop.is_none() && self.sh_degree.is_none()
     }
 
-    /// Where the export lies that the cameras took, if its format has a place for it.
-    pub(super) fn placement(&self, cameras: &[NamedCamera]) -> Placement {
-        let scale = self.scale.unwrap_or(1.0);
+    /// Where the export lies, if its format has a place for it; `is_map` if the cameras' world is
+    /// that of a map.
+    pub(super) fn placement(&self, cameras: &[NamedCamera], is_map: bool) -> Placement {
         let cameras: Vec<_> = cameras.iter().map(NamedCamera::camera).collect();
-        let placement = Placement { scale, ..Placement::default() };
-        upright::up(&cameras).map_or(placement, |up| Placement { up, ..placement })
+        let up = if is_map { upright::up_of_map(&cameras) } else { upright::up(&cameras) };
+        let Placement { scale, up: usual } = Placement::default();
+        Placement { scale: self.scale.unwrap_or(scale), up: up.unwrap_or(usual) }
     }
 
     /// The rest of a scene. A Gaussian is inside a crop if its centre is. Scale and fineness of a

@@ -5,9 +5,6 @@ use serde_json::{Value, json};
 
 use crate::camera::normalisation::Normalisation;
 
-/// Up as cameras show it is that near to the axis of a map that it is the same, degrees.
-const NEAR_AXIS: f64 = 10.0;
-
 /// From the world of the poses to that of an export.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placement {
@@ -26,24 +23,12 @@ impl Default for Placement {
 impl Placement {
     /// The node of a file whose coordinates are in the world of the poses without the offset that
     /// `f32` cannot represent, and turned by half a turn about x. With it, up is along y.
-    ///
-    /// The world of an offset is most often that of a map: up is its axis if one is near.
     pub(crate) fn node(&self, normalisation: &Normalisation) -> Node {
         let turned = |DVec3 { x, y, z }| DVec3::new(x, -y, -z);
-        let axis = Some(nearest_axis(self.up)).filter(|axis| {
-            normalisation.left_out && axis.angle_between(self.up).to_degrees() < NEAR_AXIS
-        });
-        let rotation = DQuat::from_rotation_arc(turned(axis.unwrap_or(self.up)), DVec3::Y);
+        let rotation = DQuat::from_rotation_arc(turned(self.up), DVec3::Y);
         let offset = turned(normalisation.missing_in_files());
         Node { translation: self.scale * (rotation * offset), rotation, scale: self.scale }
     }
-}
-
-/// The axis that is nearest to a direction, or its opposite.
-fn nearest_axis(direction: DVec3) -> DVec3 {
-    let along = direction.abs();
-    let axis = DVec3::AXES.into_iter().find(|axis| along.dot(*axis) == along.max_element());
-    axis.unwrap_or(DVec3::Y) * direction.dot(axis.unwrap_or(DVec3::Y)).signum()
 }
 
 /// The transform of a node: it scales, rotates and translates, in this order.

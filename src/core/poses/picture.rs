@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use glam::{DVec2, DVec3};
 
 use super::{PoseStatus, Poses};
-use crate::camera::Camera;
+use crate::camera::{Camera, upright};
 
 /// Width and height of the drawing, px.
 const SIDE: f64 = 800.0;
@@ -108,9 +108,8 @@ struct Plan {
 
 impl Plan {
     fn new(cameras: &[&Camera], points: &[DVec3]) -> Self {
-        let up: DVec3 =
-            cameras.iter().map(|camera| camera.rotation().transpose() * DVec3::NEG_Y).sum();
-        let up = up.try_normalize().unwrap_or(DVec3::NEG_Y);
+        let all: Vec<Camera> = cameras.iter().map(|camera| **camera).collect();
+        let up = upright::up(&all).unwrap_or(DVec3::NEG_Y);
         let right = up.any_orthonormal_vector();
         let mut plan = Self { right, down: right.cross(up), corner: DVec2::ZERO, scale: 1.0 };
         let centres: Vec<DVec3> = cameras.iter().map(|camera| camera.centre()).collect();
