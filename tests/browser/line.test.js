@@ -34,5 +34,8 @@ test("a limit of time stands beside the preset, whose numbers it replaces", () =
   const job = { preset: "auto", detail: { level: "standard" }, options: { minutes: "auto" } };
   assert.equal(presetOf(job), "auto: standard");
   assert.equal(presetOf({ ...job, options: { minutes: 3 } }), "auto: standard, at most 3 minutes");
+  const detail = { level: "high", because: "a GPU" };
+  assert.equal(presetOf({ ...job, detail, options: { minutes: 3 } }, true),
+    "auto: high (a GPU), at most 3 minutes");
   assert.equal(presetOf({ preset: "high", options: { minutes: 1 } }), "high, at most 1 minute");
 });

@@ -38,13 +38,16 @@ function row(base, { name, about, bytes, has_scene: hasScene }) {
   const weight = h("span", { class: "soft" });
   const note = h("p", { role: "status" });
   const isMesh = name.startsWith("mesh.");
-  let isCropped = false;
-  explained(link, note, () => isMesh || isCropped, isMesh);
+  let isShaped = false;
+  const end = explained(link, note, () => isMesh || isShaped);
   return {
     root: h("li", { class: "row" }, link, weight, h("span", { class: "about" }, about), note),
     show({ crop, scale }) {
-      isCropped = hasScene && crop !== null;
-      link.href = `${base}/exports/${name}${hasScene ? shapingQuery({ crop, scale }) : ""}`;
+      const isCropped = hasScene && crop !== null;
+      isShaped = isCropped || (hasScene && scale !== null);
+      const href = `${base}/exports/${name}${hasScene ? shapingQuery({ crop, scale }) : ""}`;
+      if (href !== link.getAttribute("href")) end();
+      link.href = href;
       // It is made while being sent.
       weight.textContent = `${isCropped ? "at most" : "about"} ${size(bytes)}`;
     },

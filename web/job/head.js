@@ -137,7 +137,7 @@ export function jobHead(base, refresh, who) {
       // The same photographs would fail again.
       if (isFew && actions.lastChild !== buttons.retry) actions.append(buttons.retry);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;
-      preset.textContent = job.detail ? `${presetOf(job)} (${job.detail.because})` : job.preset;
+      preset.textContent = presetOf(job, true);
       showKeeping();
       priority.update(job);
       showNeeds();

@@ -39,11 +39,13 @@ export function summary(job, report, artifacts, given, share, open, shaping) {
 function download(base, { bytes }, shaping) {
   const link = h("a", { class: "button main", download: "scene.ply" });
   const note = h("p", { role: "status" });
-  explained(link, note, () => shaping.now.crop !== null);
+  const end = explained(link, note, () => shaping.now.crop !== null);
   const show = () => {
     const { crop, scale } = shaping.now;
     const query = shapingQuery({ crop, scale });
-    link.href = `${base}/${query ? "exports" : "artifacts"}/scene.ply${query}`;
+    const href = `${base}/${query ? "exports" : "artifacts"}/scene.ply${query}`;
+    if (href !== link.getAttribute("href")) end();
+    link.href = href;
     // A cropped file is made while being sent: its size is not known.
     const kind = `${crop ? "cropped " : ""}scene${scale !== null ? " in metres" : ""}`;
     link.textContent = `Download ${kind}${crop ? "" : `, ${size(bytes)}`}`;

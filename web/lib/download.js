@@ -3,7 +3,7 @@
 import { answer, h } from "./dom.js";
 
 /** How long a saved file stays in memory for the browser to read it, ms. */
-const READ = 10_000;
+const READ = 60_000;
 
 /** Has the browser save a blob as a file. */
 export function saved(blob, name) {
@@ -13,34 +13,44 @@ export function saved(blob, name) {
 }
 
 /**
- * Requests the target of `link` before the browser downloads it, and shows a refusal in `note`: the
- * browser itself would only report a failed download. `isRefusable()` is whether to. What the
- * server makes as a whole (`isWhole`) is not requested twice.
+ * Downloads the target of `link` within the page if `isRefusable()`, and shows a refusal in `note`:
+ * the browser itself would only report a failed download. Returns a function that ends a download
+ * and empties the note.
  */
-export function explained(link, note, isRefusable, isWhole = false) {
-  let isBusy = false;
+export function explained(link, note, isRefusable) {
+  /** @type {AbortController | null} */
+  let running = null;
   const show = (words, kind = "soft") => {
     note.className = kind;
     note.textContent = words;
+  };
+  const end = () => {
+    running?.abort();
+    running = null;
+    show("");
   };
   link.addEventListener("click", async (event) => {
     const isPlain = !(event.ctrlKey || event.metaKey || event.shiftKey || event.altKey);
     if (!isPlain || !isRefusable()) return;
     event.preventDefault();
-    if (isBusy) return;
-    isBusy = true;
-    show(`Preparing ${link.download} …`);
-    const { download: name, href } = link;
+    if (running) return;
     const stop = new AbortController();
+    running = stop;
+    const { download: name, href } = link;
+    show(`Preparing ${name} …`);
     try {
       const response = await answer(href, { signal: stop.signal });
-      if (isWhole) saved(await response.blob(), name);
-      else h("a", { href, download: name }).click();
-      show("");
+      const blob = await response.blob().catch(() => {
+        throw new Error("The download was interrupted.");
+      });
+      if (running !== stop) return;
+      end();
+      saved(blob, name);
     } catch (error) {
+      if (running !== stop) return;
+      end();
       show(error.message, "problem");
     }
-    stop.abort();
-    isBusy = false;
   });
+  return end;
 }

@@ -109,11 +109,14 @@ function elapsed(job, { strategies }, isKnown) {
 /**
  * The preset's name, with the detail that the machine chose and the limit of time.
  * @param {Job} job
+ * @param {boolean} hasReason Whether it says why the machine chose that.
  */
-export const presetOf = ({ preset, detail, options: { minutes } }) =>
-  (detail ? `${preset}: ${detail.level}` : preset)
-    // Within a limit the numbers are not the preset's.
-    + (Number.isInteger(minutes) ? `, at most ${count(minutes, "minute")}` : "");
+export function presetOf({ preset, detail, options: { minutes } }, hasReason = false) {
+  const chosen = detail ? `: ${detail.level}${hasReason ? ` (${detail.because})` : ""}` : "";
+  // Within a limit the numbers are not the preset's.
+  const limit = Number.isInteger(minutes) ? `, at most ${count(minutes, "minute")}` : "";
+  return preset + chosen + limit;
+}
 
 /**
  * Time from the first attempt to the end; empty before that. Stage times may be longer, as they

@@ -12,7 +12,7 @@ use axum::response::{IntoResponse, Response};
 use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Prepared, Trim};
 use fled_core::mesh::Detail;
 use fled_core::run_folder::RunFolder;
-use futures::stream::poll_fn;
+use futures::stream::{self, StreamExt, poll_fn};
 use serde::{Deserialize, Serialize};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use utoipa::{IntoParams, ToSchema};
@@ -200,11 +200,19 @@ pub async fn download(
         let made = meshes::make(&app, arguments).await?;
         return Ok((headers, made).into_response());
     }
-    let body = body_of(move |pieces| {
-        make(&prepared, pieces, &id);
+    let (sender, mut pieces) = mpsc::channel(WAITING);
+    let work = tokio::task::spawn_blocking(move || {
+        let made = make(&prepared, &sender, &id);
         drop(turn);
+        made
     });
-    Ok((headers, body).into_response())
+    // What fails before it sends anything still has a reason in the answer.
+    let first = pieces.recv().await;
+    if let Some(Err(_)) = first {
+        work.await.map_err(|_| Problem::internal())?.map_err(|error| refused(&error))?;
+    }
+    let rest = poll_fn(move |context| pieces.poll_recv(context));
+    Ok((headers, Body::from_stream(stream::iter(first).chain(rest))).into_response())
 }
 
 /// A slot for a streamed file, which occupies a thread as long as the client reads.
@@ -221,10 +229,10 @@ pub(super) fn body_of(make: impl FnOnce(&Pieces) + Send + 'static) -> Body {
 
 /// Writes the export into the response. An error aborts the response, so that the client does not
 /// take it for complete.
-fn make(prepared: &Prepared, pieces: &Pieces, job: &str) {
+fn make(prepared: &Prepared, pieces: &Pieces, job: &str) -> Result<(), ExportError> {
     let pipe = io::BufWriter::with_capacity(PIECE, Pipe(pieces));
-    match prepared.write(pipe) {
-        Ok(()) => {}
+    let made = prepared.write(pipe);
+    match &made {
         // The client has disconnected.
         Err(ExportError::Write(_)) if pieces.is_closed() => {}
         Err(error) => {
@@ -232,7 +240,9 @@ fn make(prepared: &Prepared, pieces: &Pieces, job: &str) {
             // If the client has also disconnected, there is no receiver for the error.
             let _ = pieces.blocking_send(Err(io::Error::other("the export was interrupted")));
         }
+        Ok(()) => {}
     }
+    made
 }
 
 /// Sends the chunks of a response.
