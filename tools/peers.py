@@ -272,6 +272,8 @@ def judge_nodes(fled, folder):
         nodes.append(reader(file)[1])
     linear = nodes[0][:3, :3] / 2.5
     apart, tilt = abs(nodes[0] - nodes[1]).max(), formats.tilt(nodes[0], cameras)
+    if nodes[0][:3, 3].any():
+        raise SystemExit(f"three.js reads the translation {nodes[0][:3, 3]}, scene.ply has no offset")
     if not (apart < 1e-6 and abs(linear @ linear.T - np.eye(3)).max() < 1e-6 and np.linalg.det(linear) > 0 and tilt < 1):
         raise SystemExit(f"three.js and usd-core read the nodes\n{nodes[0]}\n{nodes[1]}\nwith which cameras are {tilt} degrees from level")
     said(f"three.js, usd-core: the same node, apart by {apart:.1g}; cameras are {tilt:.2f} degrees from level in it")
@@ -333,8 +335,8 @@ def main():
         judge_by_three(fled, folder, "scene.glb")
         judge_pictures_of_three(folder, [picture.stem for picture in sorted(pictures.iterdir())])
         judge_usd(fled, folder)
+        judge_nodes(fled, folder)
         if folder == trained:
-            judge_nodes(fled, folder)
             judge_mesh(fled, folder)
         for name in ("scene.v3.spz", "scene.spz"):
             judge_by_three(fled, folder, name)

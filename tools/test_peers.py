@@ -7,6 +7,8 @@ import tempfile
 import unittest
 from pathlib import Path
 
+import formats
+import numpy as np
 import peers
 
 SUMMARY = """# Summary
@@ -63,6 +65,17 @@ class SplatTransform(unittest.TestCase):
     def test_no_summary_at_all_is_condemned(self):
         with self.assertRaisesRegex(SystemExit, "nothing of a count"):
             peers.read_summary("")
+
+
+class Nodes(unittest.TestCase):
+    def test_a_node_that_turns_the_wrong_way_does_not_level_the_cameras(self):
+        sine, cosine = np.sin(np.radians(20)), np.cos(np.radians(20))
+        node = np.array([[cosine, -sine, 0, 0], [sine, cosine, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+        # Right is (cos 20, -sin 20) where y points up; in the world of the poses it points down.
+        cameras = [{"world_to_camera": [[cosine, sine, 0, 0]]}] * 3
+        self.assertAlmostEqual(formats.tilt(node, cameras), 0)
+        self.assertAlmostEqual(formats.tilt(np.eye(4), cameras), 20)
+        self.assertAlmostEqual(formats.tilt(node.T, cameras), 40)
 
 
 class Commands(unittest.TestCase):

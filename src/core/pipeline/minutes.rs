@@ -359,26 +359,12 @@ const LEAST_CHANGE: f64 = 0.03;
 impl Pacing<'_> {
     /// Looks at a moment of the round, and changes its steps if it is time to.
     pub fn look(&mut self, look: &mut Look<'_>, context: &mut Context<'_>) {
-        if self.is_over || look.steps != self.planned {
-            return;
-        }
-        let share = f64::from(look.step) / f64::from(look.steps);
-        let Some((step, seconds)) = self.began else {
-            self.began = (share >= MEASURED.0).then_some((look.step, look.seconds));
+        let Some((from, seconds)) = self.measured(look.step, look.steps, look.seconds) else {
             return;
         };
-        let is_long =
-            f64::from(look.step - step) >= (MEASURED.1 - MEASURED.0) * f64::from(look.steps);
-        if share < MEASURED.1 || !is_long {
-            return;
-        }
-        self.is_over = true;
-        if share > LAST_CHANGE {
-            return;
-        }
         let before: f64 = context.clock.stages().values().sum::<f64>() + look.seconds;
         let spent = context.clock.elapsed().max(before);
-        let steps = self.steps([step, look.step], look.seconds - seconds, spent);
+        let steps = self.steps([from, look.step], seconds, spent);
         let change = f64::from(steps) / f64::from(look.steps);
         if (change - 1.0).abs() < LEAST_CHANGE {
             return;
@@ -388,6 +374,24 @@ impl Pacing<'_> {
         let message =
             format!("round {}: {steps} steps instead of {}, {why}", self.round, self.planned);
         context.sink.log(message);
+    }
+
+    /// The step from which the pace was measured and the seconds since then, once, when they tell
+    /// enough of the round; `step` of its `steps` have taken `seconds`.
+    fn measured(&mut self, step: u32, steps: u32, seconds: f64) -> Option<(u32, f64)> {
+        if self.is_over || steps != self.planned {
+            return None;
+        }
+        let share = |step: u32| f64::from(step) / f64::from(steps);
+        let Some((from, begun)) = self.began else {
+            self.began = (share(step) >= MEASURED.0).then_some((step, seconds));
+            return None;
+        };
+        if share(step) < MEASURED.1 || share(step - from) < MEASURED.1 - MEASURED.0 {
+            return None;
+        }
+        self.is_over = true;
+        (share(step) <= LAST_CHANGE).then_some((from, seconds - begun))
     }
 
     /// The steps that this round, and each later one, may have if those between two took that many

@@ -110,3 +110,26 @@ fn the_steps_so_far_stay_within_what_a_round_bears() {
     assert_eq!(paced(0.1, 1.0, 2), 540, "400 are at most three quarters of a round");
     assert_eq!(paced(9.0, 1.0, 2), 1_290, "400 are more than three tenths");
 }
+
+#[test]
+fn the_pace_is_measured_once_in_the_middle_of_a_round() {
+    let forecast = Forecast::on(vec![[560, 420]; 20], History::default());
+    let options = Preset::Standard.options();
+    let rounds = Rounds { rounds: 2, views: 20, shake: None, size: 560 };
+    let limit =
+        RoundsLimit { forecast: &forecast, options: &options, rounds, limit: 60.0, fills: true };
+    let found = |steps: &[u32]| {
+        let mut pacing = limit.pacing(1, 1_000);
+        let look = |&step: &u32| pacing.measured(step, 1_000, 0.5 * f64::from(step));
+        steps.iter().map(look).collect::<Vec<_>>()
+    };
+    let every: Vec<u32> = (0..1_000).step_by(25).collect();
+    let measured: Vec<_> = found(&every).into_iter().flatten().collect();
+    assert_eq!(measured, [(300, 0.5 * 125.0)], "of 300 to 425 steps");
+    assert_eq!(found(&[290, 350, 430, 460]), [None, None, None, Some((350, 55.0))]);
+    assert_eq!(found(&[600, 710, 720]), [None; 3], "a resumed round is soon too far");
+    let mut pacing = limit.pacing(1, 1_000);
+    assert_eq!([300, 450].map(|step| pacing.measured(step, 900, 1.0)), [None; 2], "other steps");
+    let mut pacing = RoundsLimit { fills: false, ..limit }.pacing(1, 1_000);
+    assert_eq!([300, 450].map(|step| pacing.measured(step, 1_000, 1.0)), [None; 2], "set steps");
+}

@@ -13,7 +13,7 @@ fn agreement(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) ->
 }
 
 #[test]
-fn fifty_steps_agree_with_and_without_shake_masks_noise_and_growth() {
+fn fifty_steps_agree_with_shake_and_masks_and_with_noise() {
     let scene = truth(150, 8);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [72, 48]);
     let plain = TrainConfig { background: Background::Random, ..config(50, 400) };

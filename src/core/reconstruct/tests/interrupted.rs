@@ -19,7 +19,7 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
     resumes(&Device::Processor, &views, &scene, &config, &stops);
     let classic = TrainConfig { densify: Densify::Classic, shake: None, ..config };
     resumes(&Device::Processor, &views, &scene, &classic, &stops);
-    // The GPU's other states are resumed where a round is stopped.
+    // `a_stopped_round_resumes_at_its_step_to_the_same_bytes` has a GPU with shake and cameras.
     resumes(&gpu(), &views, &scene, &classic, &stops[1..2]);
 }
 
