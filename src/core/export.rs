@@ -201,13 +201,8 @@ impl Export {
         let path = run.scene_of(round);
         self.check(round, trim)?;
         let flat = |bytes_of, write| {
-            Content::scene(
-                &path,
-                trim,
-                bytes_of,
-                WriteScene::Flat(write),
-                trim.placement(&[], false),
-            )
+            let placement = trim.placement(&[], false);
+            Content::scene(&path, trim, bytes_of, WriteScene::Flat(write), placement)
         };
         let placed = |bytes_of, write| {
             let is_map = ply::read_extent(&path)?.normalisation.left_out;

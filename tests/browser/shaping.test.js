@@ -202,6 +202,7 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     const { pathname, search } = new URL(await download.evaluate((link) => link.href));
     assert.match(pathname + search, /\/exports\/scene\.ply\?crop=box%3A/);
     await picture(page, "page-crop-links");
+    await settled(page);
     const whole = await shown(page);
     await notice.getByRole("button", { name: "Export everything" }).click();
     assert.deepEqual(await cropped(), []);

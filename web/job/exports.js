@@ -36,7 +36,7 @@ export async function exportList(base, shaping) {
 function row(base, { name, about, bytes, has_scene: hasScene }) {
   const link = h("a", { class: "button", download: name }, name);
   const weight = h("span", { class: "soft" });
-  const note = h("p", { role: "status" });
+  const note = h("p", { class: "note", role: "status" });
   const isMesh = name.startsWith("mesh.");
   let isShaped = false;
   const end = explained(link, note, () => isMesh || isShaped);

@@ -38,7 +38,7 @@ export function summary(job, report, artifacts, given, share, open, shaping) {
 /** The link to the scene, as the user has shaped it, and a note of why it is refused. */
 function download(base, { bytes }, shaping) {
   const link = h("a", { class: "button main", download: "scene.ply" });
-  const note = h("p", { role: "status" });
+  const note = h("p", { class: "note", role: "status" });
   const end = explained(link, note, () => shaping.now.crop !== null);
   const show = () => {
     const { crop, scale } = shaping.now;

@@ -20,8 +20,8 @@ export function saved(blob, name) {
 export function explained(link, note, isRefusable) {
   /** @type {AbortController | null} */
   let running = null;
-  const show = (words, kind = "soft") => {
-    note.className = kind;
+  const show = (words, isRefusal = false) => {
+    note.classList.toggle("problem", isRefusal);
     note.textContent = words;
   };
   const end = () => {
@@ -49,7 +49,7 @@ export function explained(link, note, isRefusable) {
     } catch (error) {
       if (running !== stop) return;
       end();
-      show(error.message, "problem");
+      show(error.message, true);
     }
   });
   return end;

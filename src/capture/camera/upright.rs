@@ -56,7 +56,7 @@ pub fn up(cameras: &[Camera]) -> Option<DVec3> {
 pub fn up_of_map(cameras: &[Camera]) -> Option<DVec3> {
     let up = up(cameras)?;
     let axis = [DVec3::Z, DVec3::Y, DVec3::X].into_iter().find(|&axis| roll(cameras, axis) < LEVEL);
-    // Cameras that all look one way over a horizon that they do not show leave the sign open.
+    // Where the cameras do not tell the sign, the axis itself points up, as on maps.
     Some(axis.map_or(up, |axis| if up.dot(axis) < -LEAST_SHARE { -axis } else { axis }))
 }
 

@@ -236,7 +236,9 @@ fn make(prepared: &Prepared, pieces: &Pieces, job: &str) -> Result<(), ExportErr
         // The client has disconnected.
         Err(ExportError::Write(_)) if pieces.is_closed() => {}
         Err(error) => {
-            tracing::error!(%error, job, "an export was interrupted");
+            if !error.is_of_wish() {
+                tracing::error!(%error, job, "an export was interrupted");
+            }
             // If the client has also disconnected, there is no receiver for the error.
             let _ = pieces.blocking_send(Err(io::Error::other("the export was interrupted")));
         }
