@@ -74,7 +74,8 @@ export const serverNow = () => Date.now() + ahead;
  * @param {RequestInit} options
  */
 export async function answer(path, options = {}) {
-  const response = await fetch(path, options).catch(() => {
+  const response = await fetch(path, options).catch((error) => {
+    if (options.signal?.aborted) throw error;
     dispatchEvent(new Event("unanswered"));
     throw new Error("The server is not responding.");
   });

@@ -14,7 +14,7 @@ const LEAST_SHARE: f64 = 0.1;
 const IN_COMMON: f64 = 0.9;
 /// The sine of the greatest roll, in the mean, at which cameras count as level: 10 degrees.
 const LEVEL: f64 = 0.17;
-/// How much less roll, and how much more of its direction, looking straight down must leave.
+/// How much less roll, or how much greater a share, looking straight down must give to be believed.
 const LESS_ROLL: f64 = 0.09;
 const MORE: f64 = 0.3;
 /// The cosine of the least angle between two different answers.
@@ -51,8 +51,8 @@ pub fn up(cameras: &[Camera]) -> Option<DVec3> {
     Some(if is_overhead || is_unknown { above } else { up })
 }
 
-/// The unit vector that is up in the world of a map that these cameras are in: its z axis, or else
-/// another axis, if the cameras are level to it, or else [`up`].
+/// Up for cameras in the world of a map: its z axis, or else another axis, if the cameras are level
+/// to it; otherwise [`up`].
 pub fn up_of_map(cameras: &[Camera]) -> Option<DVec3> {
     let up = up(cameras)?;
     let axis = [DVec3::Z, DVec3::Y, DVec3::X].into_iter().find(|&axis| roll(cameras, axis) < LEVEL);
@@ -149,29 +149,22 @@ mod tests {
         let around: Vec<_> = (0..12).map(|i| [f64::from(i) * 30.0, -20.0, 3.0]).collect();
         assert_eq!(of(&around), DVec3::NEG_Y);
         // Turned so that z is up, as in UTM: a ring, one oblique leg, and one straight down.
+        let turned = |turns: &[[f64; 3]], by: DQuat| -> Vec<Camera> {
+            let one = |camera: Camera| {
+                let rotation = by * DQuat::from_mat3(&camera.rotation()).inverse();
+                Camera::from_pose(camera.intrinsics, rotation.inverse(), DVec3::ZERO)
+            };
+            cameras(turns.iter().copied()).into_iter().map(one).collect()
+        };
         let upright = DQuat::from_rotation_x(-std::f64::consts::FRAC_PI_2);
         let one_way = |pitch: f64| vec![[1.0, pitch, 0.5], [-1.0, pitch, -0.5], [0.0, pitch, 0.0]];
         for turns in [around, one_way(-60.0), one_way(-90.0), one_way(0.0)] {
-            let turned: Vec<Camera> = cameras(turns.iter().copied())
-                .iter()
-                .map(|camera| {
-                    let rotation = upright * DQuat::from_mat3(&camera.rotation()).inverse();
-                    Camera::from_pose(camera.intrinsics, rotation.inverse(), DVec3::ZERO)
-                })
-                .collect();
-            assert_eq!(up_of_map(&turned), Some(DVec3::Z), "{turns:?}");
+            assert_eq!(up_of_map(&turned(&turns, upright)), Some(DVec3::Z), "{turns:?}");
         }
         // Level to no axis, as where the origin is the middle of the earth.
-        let tilted: Vec<_> = (0..12).map(|i| [f64::from(i) * 30.0, 0.0, 0.0]).collect();
+        let level: Vec<_> = (0..12).map(|i| [f64::from(i) * 30.0, 0.0, 0.0]).collect();
         let aslant = DQuat::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.5);
-        let cameras: Vec<Camera> = cameras(tilted)
-            .iter()
-            .map(|camera| {
-                let rotation = aslant * DQuat::from_mat3(&camera.rotation()).inverse();
-                Camera::from_pose(camera.intrinsics, rotation.inverse(), DVec3::ZERO)
-            })
-            .collect();
-        let found = up_of_map(&cameras).expect("up");
+        let found = up_of_map(&turned(&level, aslant)).expect("up");
         assert!(found.angle_between(aslant * DVec3::NEG_Y) < 0.01, "{found}");
     }
 

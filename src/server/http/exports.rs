@@ -206,7 +206,7 @@ pub async fn download(
         drop(turn);
         made
     });
-    // What fails before it sends anything still has a reason in the answer.
+    // A failure before the first byte is still answered with its reason.
     let first = pieces.recv().await;
     if let Some(Err(_)) = first {
         work.await.map_err(|_| Problem::internal())?.map_err(|error| refused(&error))?;

@@ -109,7 +109,7 @@ fn a_downloaded_scene_is_cropped_and_has_the_wanted_harmonics() {
     let problem = get("?crop=sphere:900,0,0,1").expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
     assert!(detail.contains("no Gaussian's centre is inside the crop"), "{detail}");
-    // What a format cannot hold is found only when it is written.
+    // A format's limits are checked only while it is written.
     let spz = server.get(&format!("/v1/jobs/{job}/exports/scene.spz?scale=1e6"), &[]);
     let problem = spz.expect(422).json();
     let detail = problem["detail"].as_str().expect("a detail");
