@@ -18,7 +18,4 @@ struct StepUniform {
     step: u32,
     // Slots of the intersection buffers: above it the step is void.
     capacity: u32,
-    // Indices in the counters: the exact number of intersections, and of gradients dropped.
-    total_at: u32,
-    dropped_at: u32,
 }

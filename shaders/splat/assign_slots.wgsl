@@ -1,15 +1,15 @@
 // Gives every visible Gaussian its first slot: a prefix sum of tile counts in order of depth.
-// Reads parameters, counters, order [visible], tile_counts [count], block_sums [blocks] scanned.
-// Writes slot_offsets [count], for visible Gaussians only. Dispatch: a workgroup a block.
+// Reads parameters, counters, order [visible], block_sums [blocks] scanned. Of spans [1 + count] it
+// reads the numbers of tiles and writes the first slots, for visible Gaussians only.
+// Dispatch: a workgroup a block.
 #import shared/grid.wgsl
 #import shared/workgroup_scan.wgsl
 
 @group(0) @binding(0) var<uniform> parameters: SortParameters;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(4) var<storage, read> block_sums: array<u32>;
-@group(0) @binding(5) var<storage, read_write> slot_offsets: array<u32>;
+@group(0) @binding(3) var<storage, read> block_sums: array<u32>;
+@group(0) @binding(4) var<storage, read_write> spans: array<vec2<u32>>;
 
 @compute @workgroup_size(WIDTH)
 fn main(
@@ -23,7 +23,7 @@ fn main(
     let last = min(first + ITEMS, n);
     var sum = 0u;
     for (var i = first; i < last; i++) {
-        sum += tile_counts[order[i]];
+        sum += spans[1u + order[i]].y;
     }
     let scanned = workgroup_scan(sum, lane);
     if (first >= last) {
@@ -31,8 +31,8 @@ fn main(
     }
     var slot = block_sums[block] + scanned.before;
     for (var i = first; i < last; i++) {
-        let gaussian = order[i];
-        slot_offsets[gaussian] = slot;
-        slot += tile_counts[gaussian];
+        let row = 1u + order[i];
+        spans[row].x = slot;
+        slot += spans[row].y;
     }
 }

@@ -1,5 +1,5 @@
 // Sums the tiles that a block of visible Gaussians touches, in order of depth.
-// Reads parameters, counters, order [visible], tile_counts [count]. Writes block_sums [blocks].
+// Reads parameters, counters, order [visible], spans [1 + count]. Writes block_sums [blocks].
 // Dispatch: a workgroup a block.
 #import shared/grid.wgsl
 #import shared/workgroup_scan.wgsl
@@ -7,7 +7,7 @@
 @group(0) @binding(0) var<uniform> parameters: SortParameters;
 @group(0) @binding(1) var<storage, read> counters: array<u32>;
 @group(0) @binding(2) var<storage, read> order: array<u32>;
-@group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
+@group(0) @binding(3) var<storage, read> spans: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> block_sums: array<u32>;
 
 @compute @workgroup_size(WIDTH)
@@ -22,7 +22,7 @@ fn main(
     let last = min(first + ITEMS, n);
     var sum = 0u;
     for (var i = first; i < last; i++) {
-        sum += tile_counts[order[i]];
+        sum += spans[1u + order[i]].y;
     }
     let scanned = workgroup_scan(sum, lane);
     if (lane == 0u && block * BLOCK < n) {

@@ -1,8 +1,8 @@
 // Writes an intersection for every tile a visible Gaussian touches: its slots are contiguous and in
 // order of depth. Never more than were counted, and never past the capacity (the exact number stays
 // in the counter).
-// Reads camera, parameters, counters, order [visible], projected [count, 3], tile_counts [count],
-// slot_offsets [count]. Writes keys [slots] (tile), payloads [slots] (slot), slot_gaussian [slots].
+// Reads camera, parameters, counters, order [visible], projected [count, 3], spans [1 + count].
+// Writes keys [slots] (tile), payloads [slots] (slot), and the Gaussians in slot_words.
 // Dispatch: visible.
 #import shared/grid.wgsl
 #import shared/sort.wgsl
@@ -13,11 +13,10 @@
 @group(0) @binding(2) var<storage, read> counters: array<u32>;
 @group(0) @binding(3) var<storage, read> order: array<u32>;
 @group(0) @binding(4) var<storage, read> projected: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(6) var<storage, read> slot_offsets: array<u32>;
-@group(0) @binding(7) var<storage, read_write> keys: array<u32>;
-@group(0) @binding(8) var<storage, read_write> payloads: array<u32>;
-@group(0) @binding(9) var<storage, read_write> slot_gaussian: array<u32>;
+@group(0) @binding(5) var<storage, read> spans: array<vec2<u32>>;
+@group(0) @binding(6) var<storage, read_write> keys: array<u32>;
+@group(0) @binding(7) var<storage, read_write> payloads: array<u32>;
+@group(0) @binding(8) var<storage, read_write> slot_words: array<u32>;
 
 @compute @workgroup_size(WIDTH)
 fn main(
@@ -35,14 +34,15 @@ fn main(
     let conic = vec3<f32>(first.zw, second.x);
     let limit = exponent_limit(second.y);
     let box = tile_box(first.xy, projected[3u * gaussian + 2u].zw, camera.tiles);
-    var slot = slot_offsets[gaussian];
-    let end = min(slot + tile_counts[gaussian], parameters.result_capacity);
+    let span = spans[1u + gaussian];
+    var slot = span.x;
+    let end = min(slot + span.y, parameters.result_capacity);
     for (var y = box.y; y < box.w; y++) {
         for (var x = box.x; x < box.z; x++) {
             if (slot < end && tile_touched(first.xy, conic, limit, vec2<u32>(x, y))) {
                 keys[slot] = y * camera.tiles.x + x;
                 payloads[slot] = slot;
-                slot_gaussian[slot] = gaussian;
+                slot_words[slot] = gaussian;
                 slot += 1u;
             }
         }
@@ -52,6 +52,6 @@ fn main(
     for (; slot < end; slot++) {
         keys[slot] = camera.tiles.x * camera.tiles.y;
         payloads[slot] = slot;
-        slot_gaussian[slot] = gaussian;
+        slot_words[slot] = gaussian;
     }
 }

@@ -1,7 +1,7 @@
 // Projects one Gaussian an invocation: mean and inverse covariance on the image, colour from its
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
-// Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3], tile_counts [count],
-// depth_keys [count]. Dispatch: the part's rows.
+// Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3], depth_keys [count],
+// and the numbers of tiles in spans [1 + count]. Dispatch: the part's rows.
 // Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit), colour = max(0.5 + sum sh Y(d), 0).
 #import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
@@ -15,7 +15,7 @@ const WIDTH: u32 = 64;
 @group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
 @group(0) @binding(3) var<storage, read> sh: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> projected: array<vec4<f32>>;
-@group(0) @binding(5) var<storage, read_write> tile_counts: array<u32>;
+@group(0) @binding(5) var<storage, read_write> spans: array<vec2<u32>>;
 @group(0) @binding(6) var<storage, read_write> depth_keys: array<u32>;
 
 fn colour_of(row: u32, mean: vec3<f32>) -> vec3<f32> {
@@ -47,7 +47,7 @@ fn main(
     if (row >= part.rows || i >= camera.count) {
         return;
     }
-    tile_counts[i] = 0u;
+    spans[1u + i].y = 0u;
     depth_keys[i] = 0xffffffffu;
     let g = load_geometry(row);
     if (!geometry_usable(g)) {
@@ -75,6 +75,6 @@ fn main(
     projected[3u * i] = vec4<f32>(mean, conic.xy);
     projected[3u * i + 1u] = vec4<f32>(conic.z, opacity, colour.xy);
     projected[3u * i + 2u] = vec4<f32>(colour.z, p.point.z, extent);
-    tile_counts[i] = count;
+    spans[1u + i].y = count;
     depth_keys[i] = bitcast<u32>(p.point.z);
 }

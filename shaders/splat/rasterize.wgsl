@@ -1,21 +1,21 @@
 // Blends the splats of a tile front to back. A workgroup a tile, PIXELS consecutive pixels of a row
 // an invocation.
-// Reads camera, tile_ranges [tiles], slots [n] sorted, slot_gaussian [n], projected [count, 3].
-// Writes image [3, height, width], transmittance [height, width], last [tiles]: one past the last
-// intersection that counted.
+// Reads camera, slots [n] sorted, the Gaussians in slot_words, projected [count, 3]. Reads
+// tile_ranges [tiles] and sets `last` there. Writes image [3, height, width], transmittance
+// [height, width].
 // Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass
 // below 1e-4; T background is added.
 #import shared/grid.wgsl
 #import shared/raster_pixels.wgsl
+#import shared/tile_range.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
-@group(0) @binding(1) var<storage, read> tile_ranges: array<vec2<u32>>;
+@group(0) @binding(1) var<storage, read_write> tile_ranges: array<TileRange>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-@group(0) @binding(3) var<storage, read> slot_gaussian: array<u32>;
+@group(0) @binding(3) var<storage, read> slot_words: array<u32>;
 @group(0) @binding(4) var<storage, read> projected: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> image: array<f32>;
 @group(0) @binding(6) var<storage, read_write> transmittance: array<f32>;
-@group(0) @binding(7) var<storage, read_write> last: array<u32>;
 
 var<workgroup> live: atomic<u32>;
 var<workgroup> go_on: u32;
@@ -30,21 +30,20 @@ fn main(
     let plane = camera.size.x * camera.size.y;
     // The kernel is unchecked: a camera larger than the buffers draws nothing.
     let fits = 3u * plane <= arrayLength(&image) && plane <= arrayLength(&transmittance);
-    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y,
-        min(arrayLength(&last), arrayLength(&tile_ranges)))) {
+    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y, arrayLength(&tile_ranges))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
-    let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
+    let end = min(tile_ranges[tile].end, arrayLength(&slots));
     begin_pixels(pixel);
-    var at = range.x;
+    var at = min(tile_ranges[tile].first, end);
     loop {
-        if (at >= range.y) {
+        if (at >= end) {
             break;
         }
-        let slot = slots[min(at + lane, range.y - 1u)];
-        let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
+        let slot = slots[min(at + lane, end - 1u)];
+        let gaussian = slot_words[min(slot, arrayLength(&slot_words) - 1u)];
         let place = splat_row(gaussian, arrayLength(&projected));
         batch[lane] = splat_of(projected[place], projected[place + 1u], projected[place + 2u]);
         if (lane == 0u) {
@@ -52,7 +51,7 @@ fn main(
         }
         // The batch is loaded before it is read.
         workgroupBarrier();
-        let n = min(range.y - at, WIDTH);
+        let n = min(end - at, WIDTH);
         for (var j = 0u; j < n; j++) {
             blend(batch[j], centre - batch[j].place.xy);
         }
@@ -70,7 +69,7 @@ fn main(
         }
     }
     if (lane == 0u) {
-        last[tile] = at;
+        tile_ranges[tile].last = at;
     }
     write_pixels(pixel);
 }

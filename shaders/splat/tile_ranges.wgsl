@@ -1,15 +1,18 @@
 // First and one past the last intersection of a tile, by binary search in the sorted tile ids.
 // Reads camera, parameters, counters, keys [slots] sorted. Writes tile_ranges [tiles + 1]; the last
-// is for the slots of no tile. Dispatch: tiles + 1.
+// is for the slots of no tile. Copies the number of intersections into the first row of spans.
+// Dispatch: tiles + 1.
 #import shared/grid.wgsl
 #import shared/sort.wgsl
 #import shared/camera.wgsl
+#import shared/tile_range.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<uniform> parameters: SortParameters;
 @group(0) @binding(2) var<storage, read> counters: array<u32>;
 @group(0) @binding(3) var<storage, read> keys: array<u32>;
-@group(0) @binding(4) var<storage, read_write> tile_ranges: array<vec2<u32>>;
+@group(0) @binding(4) var<storage, read_write> tile_ranges: array<TileRange>;
+@group(0) @binding(5) var<storage, read_write> spans: array<vec2<u32>>;
 
 // The first of the `n` keys that is not below `tile`.
 fn lower_bound(tile: u32, n: u32) -> u32 {
@@ -37,5 +40,8 @@ fn main(
         return;
     }
     let n = min(counters[parameters.source], parameters.capacity);
-    tile_ranges[tile] = vec2<u32>(lower_bound(tile, n), lower_bound(tile + 1u, n));
+    tile_ranges[tile] = TileRange(lower_bound(tile, n), lower_bound(tile + 1u, n), 0u);
+    if (tile == 0u) {
+        spans[0].x = counters[parameters.source];
+    }
 }

@@ -2,10 +2,11 @@
 // in place. Sums the Gaussian's contiguous slots, goes back through conic, covariance, projection,
 // harmonics and activations, adds the MCMC regularisers, limits the depth, updates, and adds
 // exploration noise.
-// Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots]
-// (see shared/raster_backward.wgsl). Reads and writes geometry [part, 12], geometry_moments
-// [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters (the exact number of
-// intersections, and that of non-finite gradients dropped).
+// Reads slot_colours, slot_moments and the second half of slot_words [slots] (see
+// shared/raster_backward.wgsl), and spans [1 + count] (first slot, number of slots); the first row
+// has the exact number of intersections and, counted here, that of non-finite gradients dropped.
+// Reads and writes geometry [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row],
+// sh_moments [part, 2, sh_row].
 // Dispatch: the part's rows. Void when the slots overflowed.
 // WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments.
 // ACCUMULATE_POSITION = 1 adds the length of the gradient by the position, in normalised device
@@ -30,16 +31,14 @@ const DEEPEST: f32 = 0.25;
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<uniform> train: StepUniform;
 @group(0) @binding(2) var<uniform> part: PartUniform;
-@group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(4) var<storage, read> slot_offsets: array<u32>;
-@group(0) @binding(5) var<storage, read> slot_colours: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> slot_moments: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> slot_tails: array<f32>;
-@group(0) @binding(8) var<storage, read_write> geometry: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> geometry_moments: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read_write> sh: array<vec4<f32>>;
-@group(0) @binding(11) var<storage, read_write> sh_moments: array<vec4<f32>>;
-@group(0) @binding(12) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(3) var<storage, read_write> spans: array<atomic<u32>>;
+@group(0) @binding(4) var<storage, read> slot_colours: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> slot_moments: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> slot_words: array<f32>;
+@group(0) @binding(7) var<storage, read_write> geometry: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> geometry_moments: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> sh: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> sh_moments: array<vec4<f32>>;
 
 // Finite, and so small that its square is finite too: by bits, for NaN has no order in WGSL.
 fn fits3(v: vec3<f32>) -> bool {
@@ -57,15 +56,15 @@ struct SlotSum {
     logit: f32,
 }
 
-fn sum_slots(i: u32, p: Projection, opacity: f32) -> SlotSum {
+fn sum_slots(first: u32, count: u32, p: Projection, opacity: f32) -> SlotSum {
     var colour = vec4<f32>(0.0);
     var moments = vec4<f32>(0.0);
     var tail = 0.0;
-    let first = slot_offsets[i];
-    for (var slot = first; slot < first + tile_counts[i]; slot++) {
+    let tails = arrayLength(&slot_words) / 2u;
+    for (var slot = first; slot < first + count; slot++) {
         colour += slot_colours[slot];
         moments += slot_moments[slot];
-        tail += slot_tails[slot];
+        tail += slot_words[tails + slot];
     }
     // sigma = 0.5 (a dx^2 + c dy^2) + b dx dy, alpha = opacity exp(-sigma): what all slots of a
     // Gaussian share is put in here.
@@ -225,8 +224,8 @@ fn main(
 ) {
     let row = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
     let i = part.first + row;
-    let total = atomicLoad(&counters[train.total_at]);
-    if (row >= part.rows || i >= camera.count || total > train.capacity) {
+    let intersections = atomicLoad(&spans[0]);
+    if (row >= part.rows || i >= camera.count || intersections > train.capacity) {
         return;
     }
     let g = load_geometry(row);
@@ -241,8 +240,9 @@ fn main(
     var by = Geometry(vec3<f32>(0.0), vec3<f32>(0.0), vec4<f32>(0.0), 0.0);
     var gated = vec3<f32>(0.0);
     var seen = vec2<f32>(0.0);
-    if (tile_counts[i] > 0u && p.usable) {
-        let sum = sum_slots(i, p, shape.opacity);
+    let touched = atomicLoad(&spans[2u * i + 3u]);
+    if (touched > 0u && p.usable) {
+        let sum = sum_slots(atomicLoad(&spans[2u * i + 2u]), touched, p, shape.opacity);
         let colour = colour_backward(harmonics, basis, offset, sum.colour);
         by = geometry_backward(p, shape, sum, colour.by_mean);
         gated = colour.gated;
@@ -250,7 +250,7 @@ fn main(
     }
     if (!(fits3(by.mean) && fits3(by.log_scale) && fits3(by.quat.xyz) && fits3(gated)
         && fits3(vec3<f32>(by.quat.w, by.logit, 0.0)))) {
-        atomicAdd(&counters[train.dropped_at], 1u);
+        atomicAdd(&spans[1], 1u);
         return;
     }
     by.logit += train.opacity_weight * shape.opacity * (1.0 - shape.opacity);
@@ -262,7 +262,7 @@ fn main(
         mean += exploration(i, shape);
     }
     let rates = train.rates;
-    let s = select(g.log_scale, min(g.log_scale, deepest(p, shape)), tile_counts[i] > 0u);
+    let s = select(g.log_scale, min(g.log_scale, deepest(p, shape)), touched > 0u);
     update_geometry(row, 0u, vec4<f32>(mean, s.x), vec4<f32>(by.mean, by.log_scale.x), rates.xxxy);
     update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy),
         rates.yyzz);

@@ -16,16 +16,14 @@ pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
         uniform("camera"),
         uniform("train"),
         uniform("part"),
-        read("tile_counts"),
-        read("slot_offsets"),
+        read_write("spans"),
         read("slot_colours"),
         read("slot_moments"),
-        read("slot_tails"),
+        read("slot_words"),
         read_write("geometry"),
         read_write("geometry_moments"),
         read_write("sh"),
         read_write("sh_moments"),
-        read_write("counters"),
     ],
 );
 
@@ -98,10 +96,8 @@ pub struct StepUniform {
     pub step: u32,
     /// Number of slots; a step with more intersections is void.
     pub capacity: u32,
-    /// Index of the number of intersections in the counters.
-    pub total_at: u32,
-    /// Index of the number of gradients dropped there.
-    pub dropped_at: u32,
+    /// Fills the uniform's last vector.
+    pub pad: [u32; 2],
 }
 
 impl StepUniform {
@@ -129,18 +125,6 @@ impl StepUniform {
             ..Self::default()
         }
     }
-}
-
-/// The output of the rasteriser's backward pass.
-#[derive(Clone, Copy)]
-pub struct SlotGradients<'a> {
-    /// First slot of every visible Gaussian, [capacity].
-    pub slot_offsets: &'a Buffer<u32>,
-    /// The gradients in the slots.
-    pub rows: &'a SlotRows,
-    /// Holds the exact number of intersections at `StepUniform::total_at`, and counts dropped
-    /// gradients at `StepUniform::dropped_at`.
-    pub counters: &'a Buffer<u32>,
 }
 
 /// Trained numbers of a [`GeometryRow`](crate::splat::rows::GeometryRow).
@@ -216,7 +200,7 @@ impl Optimizer {
         recorder: &mut Recorder,
         gaussians: &DeviceGaussians,
         projection: &Projection,
-        slots: &SlotGradients<'_>,
+        slots: &SlotRows,
     ) -> Result<(), GpuError> {
         self.record_as(&self.update, recorder, gaussians, projection, slots)
     }
@@ -227,7 +211,7 @@ impl Optimizer {
         recorder: &mut Recorder,
         gaussians: &DeviceGaussians,
         projection: &Projection,
-        slots: &SlotGradients<'_>,
+        slots: &SlotRows,
     ) -> Result<(), GpuError> {
         for (n, part) in gaussians.parts.iter().enumerate() {
             recorder.dispatch_items(
@@ -236,16 +220,14 @@ impl Optimizer {
                     &projection.camera,
                     &self.step,
                     &part.uniform,
-                    &projection.tile_counts,
-                    slots.slot_offsets,
-                    &slots.rows.colours,
-                    &slots.rows.moments,
-                    &slots.rows.tails,
+                    &projection.spans,
+                    &slots.colours,
+                    &slots.moments,
+                    &slots.words,
                     &gaussians.geometry.parts()[n],
                     &self.geometry_moments.parts()[n],
                     &gaussians.sh.parts()[n],
                     &self.sh_moments.parts()[n],
-                    slots.counters,
                 ],
                 part.rows,
             )?;

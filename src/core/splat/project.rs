@@ -14,7 +14,7 @@ pub const PROJECT_FORWARD: Kernel = Kernel::new(
         read("geometry"),
         read("sh"),
         read_write("projected"),
-        read_write("tile_counts"),
+        read_write("spans"),
         read_write("depth_keys"),
     ],
 );
@@ -25,10 +25,12 @@ pub struct Projection {
     /// The camera; written before each use.
     pub camera: Buffer<CameraUniform>,
     /// [capacity, 3]: mean xy, conic ab | conic c, opacity, red, green | blue, depth, extent xy.
-    /// Stale where `tile_counts` is 0.
+    /// Stale where a Gaussian touches no tile.
     pub projected: Buffer<[f32; 4]>,
-    /// Number of tiles touched, 0 if culled, [capacity].
-    pub tile_counts: Buffer<u32>,
+    /// [1 + capacity]: first slot (undefined if culled), number of tiles touched (0 if culled). The
+    /// first row: the exact number of intersections of the last image, that of gradients which
+    /// training dropped. One buffer for all four keeps the optimiser's bindings at eight.
+    pub spans: Buffer<[u32; 2]>,
     /// Bits of the depth, all ones if culled, [capacity].
     pub depth_keys: Buffer<u32>,
 }
@@ -42,9 +44,34 @@ impl Projection {
         Ok(Self {
             camera: gpu.create("camera", 1)?,
             projected: gpu.create("projected", 3 * capacity)?,
-            tile_counts: gpu.create("tile counts", capacity)?,
+            spans: gpu.create("spans", 1 + capacity)?,
             depth_keys: gpu.create("depth keys", capacity)?,
         })
+    }
+
+    /// Number of gradients that training dropped.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn dropped(&self) -> Result<u32, GpuError> {
+        Ok(self.spans.start_read(1)?.wait()?[0][1])
+    }
+
+    /// Sets the number of gradients that training dropped.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn set_dropped(&self, dropped: u32) -> Result<(), GpuError> {
+        self.spans.write(&[[0, dropped]])
+    }
+
+    /// The numbers of tiles that the first `count` Gaussians touch.
+    ///
+    /// # Errors
+    /// A device error.
+    #[cfg(test)]
+    pub(crate) fn tile_counts(&self, count: usize) -> Result<Vec<u32>, GpuError> {
+        Ok(self.spans.start_read(1 + count)?.wait()?[1..].iter().map(|span| span[1]).collect())
     }
 
     /// Records the projection of every row of `gaussians`; the kernel stops at the camera's count.
@@ -67,7 +94,7 @@ impl Projection {
                     geometry,
                     sh,
                     &self.projected,
-                    &self.tile_counts,
+                    &self.spans,
                     &self.depth_keys,
                 ],
                 part.rows,
@@ -95,7 +122,7 @@ mod tests {
         recorder.submit().expect("submitted");
         let read = (
             projection.projected.read(),
-            projection.tile_counts.read(),
+            projection.tile_counts(gaussians.len()),
             projection.depth_keys.read(),
         );
         (read.0.expect("read"), read.1.expect("read"), read.2.expect("read"))

@@ -29,9 +29,7 @@ struct Bench {
     device: DeviceGaussians,
     projection: Projection,
     optimizer: Optimizer,
-    offsets: Buffer<u32>,
     rows: SlotRows,
-    totals: Buffer<u32>,
     upstream: Vec<ProjectedGradient>,
     slots: u32,
 }
@@ -53,11 +51,11 @@ impl Bench {
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).expect("recorded");
         recorder.submit().expect("submitted");
-        let counts = projection.tile_counts.read().expect("read");
-        let (mut offsets, mut rows, mut upstream) = (Vec::new(), Vec::new(), Vec::new());
+        let counts = projection.tile_counts(gaussians.len()).expect("read");
+        let (mut spans, mut rows, mut upstream) = (vec![[0; 2]], Vec::new(), Vec::new());
         let mut random = Random::new(77);
         for &count in &counts {
-            offsets.push(rows.len() as u32);
+            spans.push([rows.len() as u32, count]);
             let mut sum = [0.0; SLOT_ROW];
             for _ in 0..count {
                 let row = [0; SLOT_ROW].map(|_| random.signed() as f32);
@@ -72,12 +70,12 @@ impl Bench {
             );
         }
         let slots = rows.len() as u32;
-        let uploaded = SlotRows::new(gpu, slots as usize).expect("created");
+        spans[0][0] = slots;
+        projection.spans.write(&spans).expect("written");
+        let uploaded = SlotRows::new(gpu, slots as usize, true).expect("created");
         uploaded.write(&rows).expect("written");
         Self {
             optimizer: Optimizer::new(gpu, &device, false).expect("created"),
-            offsets: gpu.upload("offsets", &offsets).expect("uploaded"),
-            totals: gpu.upload("totals", &[0, slots, 0]).expect("uploaded"),
             rows: uploaded,
             gaussians,
             view,
@@ -89,14 +87,12 @@ impl Bench {
     }
 
     fn step(&self, kernel: &Kernel, uniform: StepUniform) {
-        let uniform = StepUniform { total_at: 1, dropped_at: 2, capacity: self.slots, ..uniform };
+        let uniform = StepUniform { capacity: self.slots, ..uniform };
         self.optimizer.step.write(&[uniform]).expect("written");
-        let slots =
-            SlotGradients { slot_offsets: &self.offsets, rows: &self.rows, counters: &self.totals };
         let mut recorder = fixtures::gpu().recorder();
         let optimizer = &self.optimizer;
         optimizer
-            .record_as(kernel, &mut recorder, &self.device, &self.projection, &slots)
+            .record_as(kernel, &mut recorder, &self.device, &self.projection, &self.rows)
             .expect("recorded");
         recorder.submit().expect("submitted");
     }
@@ -200,17 +196,16 @@ fn the_first_update_and_its_moments_match_scalar_adam() {
 #[test]
 fn non_finite_gradients_are_dropped_and_counted() {
     let bench = Bench::new(fixtures::gaussians(50, 1, 9), 1);
-    let counts = bench.projection.tile_counts.read().expect("read");
-    let visible: Vec<_> = (0..50).filter(|&i| counts[i] > 0).collect();
-    let offsets = bench.offsets.read().expect("read");
-    let first = |n: usize| offsets[visible[n]] as usize;
+    let spans = bench.projection.spans.read().expect("read");
+    let visible: Vec<_> = (0..50).filter(|&i| spans[1 + i][1] > 0).collect();
+    let first = |n: usize| spans[1 + visible[n]][0] as usize;
     bench.rows.moments.write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]]).expect("written");
     bench.rows.colours.write_at(first(3), &[[0.0, 0.0, f32::INFINITY, 0.0]]).expect("written");
     bench.rows.colours.write_at(first(5), &[[0.0, 0.0, 0.0, 1e30]]).expect("written");
     let before = bench.device.download().expect("read");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");
-    assert_eq!(bench.totals.read().expect("read")[2], 3);
+    assert_eq!(bench.projection.dropped().expect("read"), 3);
     for &i in &[visible[0], visible[3], visible[5]] {
         assert_eq!(before.means[i], after.means[i]);
     }
@@ -227,7 +222,7 @@ fn non_finite_gradients_are_dropped_and_counted() {
 #[test]
 fn a_step_whose_slots_overflowed_changes_nothing() {
     let bench = Bench::new(fixtures::gaussians(50, 1, 9), 1);
-    bench.totals.write(&[0, bench.slots + 1]).expect("written");
+    bench.projection.spans.write(&[[bench.slots + 1, 0]]).expect("written");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     assert_eq!(bench.device.download().expect("read"), bench.gaussians);
     assert!(
@@ -278,7 +273,7 @@ fn no_gaussian_recedes_by_more_than_a_quarter_of_its_depth() {
     gaussians.quats[..30].fill([1.0, 0.0, 0.0, 0.0]);
     let bench = Bench::new(gaussians, 0);
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::default());
-    let seen = bench.projection.tile_counts.read().expect("read");
+    let seen = bench.projection.tile_counts(60).expect("read");
     let (after, camera) = (bench.device.download().expect("read"), &bench.view.camera);
     let mut shrunk = [0; 3];
     for i in (0..30).filter(|&i| seen[i] > 0) {
@@ -309,8 +304,7 @@ fn the_step_uniform_has_the_shaders_layout() {
     assert_eq!(offset("rate_sh0"), Some(std::mem::offset_of!(StepUniform, rate_sh0)));
     assert_eq!(offset("opacity_weight"), Some(std::mem::offset_of!(StepUniform, opacity_weight)));
     assert_eq!(offset("noise"), Some(std::mem::offset_of!(StepUniform, noise)));
-    assert_eq!(offset("total_at"), Some(std::mem::offset_of!(StepUniform, total_at)));
-    assert_eq!(offset("dropped_at"), Some(std::mem::offset_of!(StepUniform, dropped_at)));
+    assert_eq!(offset("capacity"), Some(std::mem::offset_of!(StepUniform, capacity)));
     let (beta_m, beta_v) = (found.constant("BETA_M"), found.constant("BETA_V"));
     assert!((beta_m.expect("declared") - BETA_M).abs() < 1e-6);
     assert!((beta_v.expect("declared") - BETA_V).abs() < 1e-6);

@@ -14,7 +14,7 @@ use crate::noise::{Inspection, IntersectionLimit, NoiseField, StateError};
 use crate::reconstruct::densify::Plan;
 use crate::reconstruct::loss::{GpuTarget, Loss, upload_mask};
 use crate::reconstruct::observed::Target;
-use crate::reconstruct::optimizer::{Optimizer, SlotGradients};
+use crate::reconstruct::optimizer::Optimizer;
 use crate::shake::{DeviceKernel, Shake};
 use crate::splat::pass::PassRecording;
 use crate::splat::rasterize::{Backward, Specialisation, SplatCounts};
@@ -81,10 +81,7 @@ impl GpuTraining {
         let pass = &self.scene.pass;
         let camera = pass.seen_from(step.camera, step.degree).before(step.background);
         let mut numbers = step.update;
-        let (_, total_at) = pass.buffers().totals();
         numbers.capacity = pass.buffers().sizes().intersections as u32;
-        numbers.total_at = total_at;
-        numbers.dropped_at = pass.buffers().dropped_at();
         pass.projection.camera.write(&[camera])?;
         self.optimizer.step.write(&[numbers])?;
         let (Some(shake), Some(wanted)) = (&self.shake, step.kernel) else {
@@ -140,12 +137,7 @@ impl GpuTraining {
             by_render = shake.render_gradient();
         }
         self.backward.record(&mut recorder, &pass.projection, buffers, by_render)?;
-        let slots = SlotGradients {
-            slot_offsets: &buffers.slot_offsets,
-            rows: &buffers.slots,
-            counters: buffers.totals().0,
-        };
-        self.optimizer.record(&mut recorder, &pass.gaussians, &pass.projection, &slots)?;
+        self.optimizer.record(&mut recorder, &pass.gaussians, &pass.projection, &buffers.slots)?;
         Ok(recorder)
     }
 }
@@ -254,7 +246,7 @@ impl Training for GpuTraining {
     }
 
     fn non_finite(&self) -> Result<u32, GpuError> {
-        self.scene.pass.buffers().dropped()
+        self.scene.pass.projection.dropped()
     }
 
     fn geometry(&self) -> Result<Vec<GeometryRow>, GpuError> {
@@ -299,7 +291,7 @@ impl Training for GpuTraining {
         gaussians.count = state.count();
         self.optimizer.geometry_moments.write(&state.geometry_moments)?;
         self.optimizer.sh_moments.write(&state.sh_moments)?;
-        self.scene.pass.buffers().set_dropped(state.non_finite)?;
+        self.scene.pass.projection.set_dropped(state.non_finite)?;
         if let Some(noise) = &mut self.noise {
             noise.restore(&state.noise)?;
         }

@@ -4,13 +4,12 @@ use fled_gpu::{AdapterInfo, Binding, Kernel, read, read_write, uniform};
 
 const FORWARD_BINDINGS: &[Binding] = &[
     uniform("camera"),
-    read("tile_ranges"),
+    read_write("tile_ranges"),
     read("slots"),
-    read("slot_gaussian"),
+    read("slot_words"),
     read("projected"),
     read_write("image"),
     read_write("transmittance"),
-    read_write("last"),
 ];
 // All blending kernels are unchecked: they index vectors and workgroup arrays by loop counters and
 // lanes, and storage below its `arrayLength`; their loops run over ranges clipped to it.
@@ -19,14 +18,12 @@ const BACKWARD_BINDINGS: &[Binding] = &[
     uniform("camera"),
     read("tile_ranges"),
     read("slots"),
-    read("slot_gaussian"),
+    read_write("slot_words"),
     read("projected"),
     read("image"),
     read("image_gradient"),
-    read("last"),
     read_write("slot_colours"),
     read_write("slot_moments"),
-    read_write("slot_tails"),
 ];
 const RASTERIZE_BACKWARD: Kernel =
     Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();

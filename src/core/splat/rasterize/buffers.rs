@@ -10,9 +10,6 @@ use crate::splat::uniform::TILE;
 pub(super) const VISIBLE: u32 = 0;
 /// Counter of intersections.
 pub(super) const INTERSECTIONS: u32 = 1;
-/// Counter of gradients that training dropped, which is not of an image: kernels that run
-/// everywhere bind few buffers, so it shares this one.
-const DROPPED: u32 = 2;
 
 /// The sizes of a rasteriser's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,23 +73,18 @@ impl PendingCounts {
 /// Buffers of the rasteriser; the image may be smaller.
 pub struct SplatBuffers {
     pub(super) sizes: SplatSizes,
-    /// First slot of a Gaussian, [gaussians]; undefined where `tile_counts` is 0.
-    pub slot_offsets: Buffer<u32>,
     /// Planar RGB, [3, height, width] of the camera's size.
     pub image: Buffer<f32>,
     /// Remaining share of the background, [height, width].
     pub transmittance: Buffer<f32>,
-    /// The rows of a Gaussian are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as
-    /// far as they are below the capacity.
+    /// The rows of a Gaussian are those of its span, as far as they are below the capacity.
     pub slots: SlotRows,
     pub(super) counters: Counters,
     pub(super) block_sums: Buffer<u32>,
     pub(super) slot_sums: Buffer<u32>,
     pub(super) depth: RadixSort,
     pub(super) tile: RadixSort,
-    pub(super) slot_gaussian: Buffer<u32>,
-    pub(super) tile_ranges: Buffer<[u32; 2]>,
-    pub(super) last: Buffer<u32>,
+    pub(super) tile_ranges: Buffer<[u32; 3]>,
     pub(super) scan_visible: Buffer<SortParameters>,
     pub(super) scan_slots: Buffer<SortParameters>,
     pub(super) visible: Buffer<SortParameters>,
@@ -105,7 +97,7 @@ impl SplatBuffers {
     /// # Errors
     /// Out of memory, or more than the adapter can bind.
     pub fn new(gpu: &Gpu, sizes: SplatSizes, gradients: bool) -> Result<Self, GpuError> {
-        let counters = Counters::new(gpu, 3)?;
+        let counters = Counters::new(gpu, 2)?;
         let (gaussians, slots) = (sizes.gaussians, sizes.intersections);
         let pixels = sizes.width * sizes.height;
         let tile_bits = usize::BITS - sizes.tiles().leading_zeros();
@@ -116,17 +108,14 @@ impl SplatBuffers {
         };
         Ok(Self {
             sizes,
-            slot_offsets: gpu.create("slot offsets", gaussians)?,
             image: gpu.create("image", 3 * pixels)?,
             transmittance: gpu.create("transmittance", pixels)?,
-            slots: SlotRows::new(gpu, if gradients { slots } else { 0 })?,
+            slots: SlotRows::new(gpu, slots, gradients)?,
             block_sums: gpu.create("block sums", gaussians.div_ceil(BLOCK))?,
             slot_sums: gpu.create("slot sums", gaussians.div_ceil(BLOCK))?,
             depth: RadixSort::new(gpu, gaussians, 32, VISIBLE)?,
             tile: RadixSort::new(gpu, slots, tile_bits, INTERSECTIONS)?,
-            slot_gaussian: gpu.create("slot gaussian", slots)?,
             tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
-            last: gpu.create("last", sizes.tiles() + 1)?,
             scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
             scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
             visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,
@@ -150,27 +139,6 @@ impl SplatBuffers {
     /// The buffer with the exact number of intersections, and its index there.
     pub fn totals(&self) -> (&Buffer<u32>, u32) {
         (&self.counters.values, INTERSECTIONS)
-    }
-
-    /// Index of the number of dropped gradients in that buffer.
-    pub fn dropped_at(&self) -> u32 {
-        DROPPED
-    }
-
-    /// Number of gradients that training dropped.
-    ///
-    /// # Errors
-    /// A device error.
-    pub fn dropped(&self) -> Result<u32, GpuError> {
-        Ok(self.counters.values.read()?[DROPPED as usize])
-    }
-
-    /// Sets the number of gradients that training dropped; an image sets the other counters anew.
-    ///
-    /// # Errors
-    /// A device error.
-    pub fn set_dropped(&self, dropped: u32) -> Result<(), GpuError> {
-        self.counters.values.write(&[0, 0, dropped])
     }
 
     /// Starts reading back the counts of the last submission.

@@ -8,13 +8,13 @@ use crate::splat::sort::{BLOCK, Counters, SCAN};
 
 pub(super) const COUNT_VISIBLE: Kernel = Kernel::new(
     "splat/count_visible",
-    &[uniform("camera"), read("tile_counts"), read_write("block_sums")],
+    &[uniform("camera"), read("spans"), read_write("block_sums")],
 );
 pub(super) const COMPACT_VISIBLE: Kernel = Kernel::new(
     "splat/compact_visible",
     &[
         uniform("camera"),
-        read("tile_counts"),
+        read("spans"),
         read("depth_keys"),
         read("block_sums"),
         read_write("keys"),
@@ -27,7 +27,7 @@ pub(super) const COUNT_SLOTS: Kernel = Kernel::new(
         uniform("parameters"),
         read("counters"),
         read("order"),
-        read("tile_counts"),
+        read("spans"),
         read_write("block_sums"),
     ],
 );
@@ -37,9 +37,8 @@ pub(super) const ASSIGN_SLOTS: Kernel = Kernel::new(
         uniform("parameters"),
         read("counters"),
         read("order"),
-        read("tile_counts"),
         read("block_sums"),
-        read_write("slot_offsets"),
+        read_write("spans"),
     ],
 );
 pub(super) const EMIT: Kernel = Kernel::new(
@@ -50,11 +49,10 @@ pub(super) const EMIT: Kernel = Kernel::new(
         read("counters"),
         read("order"),
         read("projected"),
-        read("tile_counts"),
-        read("slot_offsets"),
+        read("spans"),
         read_write("keys"),
         read_write("payloads"),
-        read_write("slot_gaussian"),
+        read_write("slot_words"),
     ],
 );
 pub(super) const TILE_RANGES: Kernel = Kernel::new(
@@ -65,6 +63,7 @@ pub(super) const TILE_RANGES: Kernel = Kernel::new(
         read("counters"),
         read("keys"),
         read_write("tile_ranges"),
+        read_write("spans"),
     ],
 );
 
@@ -91,7 +90,7 @@ fn sort_by_depth(
     let counters = &buffers.counters;
     recorder.dispatch_groups(
         &COUNT_VISIBLE,
-        &[&projection.camera, &projection.tile_counts, &buffers.block_sums],
+        &[&projection.camera, &projection.spans, &buffers.block_sums],
         blocks,
     )?;
     recorder.dispatch(
@@ -103,7 +102,7 @@ fn sort_by_depth(
         &COMPACT_VISIBLE,
         &[
             &projection.camera,
-            &projection.tile_counts,
+            &projection.spans,
             &projection.depth_keys,
             &buffers.block_sums,
             buffers.depth.keys(),
@@ -123,7 +122,7 @@ fn assign_slots(
     let order = buffers.depth.sorted_payloads();
     recorder.dispatch_indirect(
         &COUNT_SLOTS,
-        &[&buffers.visible, &counters.values, order, &projection.tile_counts, &buffers.slot_sums],
+        &[&buffers.visible, &counters.values, order, &projection.spans, &buffers.slot_sums],
         &counters.arguments,
         Counters::blocks(VISIBLE),
     )?;
@@ -134,14 +133,7 @@ fn assign_slots(
     )?;
     recorder.dispatch_indirect(
         &ASSIGN_SLOTS,
-        &[
-            &buffers.visible,
-            &counters.values,
-            order,
-            &projection.tile_counts,
-            &buffers.slot_sums,
-            &buffers.slot_offsets,
-        ],
+        &[&buffers.visible, &counters.values, order, &buffers.slot_sums, &projection.spans],
         &counters.arguments,
         Counters::blocks(VISIBLE),
     )
@@ -161,11 +153,10 @@ fn sort_by_tile(
             &counters.values,
             buffers.depth.sorted_payloads(),
             &projection.projected,
-            &projection.tile_counts,
-            &buffers.slot_offsets,
+            &projection.spans,
             buffers.tile.keys(),
             buffers.tile.payloads(),
-            &buffers.slot_gaussian,
+            &buffers.slots.words,
         ],
         &counters.arguments,
         Counters::elements(VISIBLE),
@@ -179,6 +170,7 @@ fn sort_by_tile(
             &counters.values,
             buffers.tile.sorted_keys(),
             &buffers.tile_ranges,
+            &projection.spans,
         ],
         buffers.sizes.tiles() + 1,
     )

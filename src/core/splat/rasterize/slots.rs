@@ -15,20 +15,24 @@ pub struct SlotRows {
     pub colours: Buffer<[f32; 4]>,
     /// Sums of v dx, v dy, v dx^2, v dx dy, [intersections].
     pub moments: Buffer<[f32; 4]>,
-    /// Sum of v dy^2, [intersections].
-    pub tails: Buffer<f32>,
+    /// [2, intersections]: the Gaussian; the bits of the sum of v dy^2. One buffer for both keeps
+    /// the bindings of the backward pass at eight. Without gradients, the Gaussian alone.
+    pub words: Buffer<u32>,
 }
 
 impl SlotRows {
-    /// Zeroed rows.
+    /// Zeroed rows, with or without room for gradients.
     ///
     /// # Errors
     /// Out of memory, or more than the adapter can bind.
-    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, slots: usize, gradients: bool) -> Result<Self, GpuError> {
+        let rows = if gradients { slots } else { 0 };
+        // The kernels take half of the buffer's length, which is padded to 16 bytes.
+        let words = if gradients { 2 * slots.next_multiple_of(2) } else { slots };
         Ok(Self {
-            colours: gpu.create("slot colours", slots)?,
-            moments: gpu.create("slot moments", slots)?,
-            tails: gpu.create("slot tails", slots)?,
+            colours: gpu.create("slot colours", rows)?,
+            moments: gpu.create("slot moments", rows)?,
+            words: gpu.create("slot words", words)?,
         })
     }
 
@@ -38,13 +42,14 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn read(&self) -> Result<Vec<[f32; SLOT_ROW]>, GpuError> {
-        let (colours, moments, tails) =
-            (self.colours.read()?, self.moments.read()?, self.tails.read()?);
+        let (colours, moments, words) =
+            (self.colours.read()?, self.moments.read()?, self.words.read()?);
+        let half = words.len() / 2;
         let row = |i: usize| {
             let ([a, b, c, d], [e, f, g, h]) = (colours[i], moments[i]);
-            [a, b, c, d, e, f, g, h, tails[i]]
+            [a, b, c, d, e, f, g, h, f32::from_bits(words[half + i])]
         };
-        Ok((0..tails.len()).map(row).collect())
+        Ok((0..colours.len()).map(row).collect())
     }
 
     /// The inverse of [`SlotRows::read`].
@@ -57,11 +62,11 @@ impl SlotRows {
         for &[red, green, blue, v, vx, vy, vxx, vxy, vyy] in rows {
             colours.push([red, green, blue, v]);
             moments.push([vx, vy, vxx, vxy]);
-            tails.push(vyy);
+            tails.push(vyy.to_bits());
         }
         self.colours.write(&colours)?;
         self.moments.write(&moments)?;
-        self.tails.write(&tails)
+        self.words.write_at(self.words.len() / 2, &tails)
     }
 
     /// Largest number of slots that the adapter can bind.

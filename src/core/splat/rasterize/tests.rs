@@ -24,7 +24,7 @@ struct Run {
     transmittance: Vec<f32>,
     counts: SplatCounts,
     tile_counts: Vec<u32>,
-    slot_offsets: Vec<u32>,
+    spans: Vec<[u32; 2]>,
     rows: Vec<[f32; SLOT_ROW]>,
 }
 
@@ -78,13 +78,13 @@ impl Case {
         // Twice: no result may depend on the leftovers of the previous step.
         recording.submit().unwrap();
         recording.submit().unwrap();
-        let tile_counts = projection.tile_counts.start_read(n).unwrap().wait().unwrap();
+        let tile_counts = projection.tile_counts(n).unwrap();
         Run {
             projected: rows(&projection.projected.read().unwrap(), &tile_counts),
             image: buffers.image.read().unwrap(),
             transmittance: buffers.transmittance.read().unwrap(),
             counts: buffers.counts().unwrap().wait().unwrap(),
-            slot_offsets: buffers.slot_offsets.read().unwrap(),
+            spans: projection.spans.read().unwrap(),
             rows: buffers.slots.read().unwrap(),
             tile_counts,
         }
@@ -106,7 +106,7 @@ impl Run {
         let sum = |g: usize| {
             let mut sum = [0.0; SLOT_ROW];
             for k in 0..self.tile_counts[g] as usize {
-                let row = &self.rows[self.slot_offsets[g] as usize + k];
+                let row = &self.rows[self.spans[1 + g][0] as usize + k];
                 (0..SLOT_ROW).for_each(|i| sum[i] += f64::from(row[i]));
             }
             self.projected[g]

@@ -83,13 +83,14 @@ fn a_tile_counted_but_not_emitted_has_no_effect() {
     let recording = recorder.finish();
     recording.submit().unwrap();
     let image = buffers.image.read().unwrap();
-    let mut counts = projection.tile_counts.read().unwrap();
-    let changed = (0..n).find(|&g| counts[g] > 0).unwrap();
-    counts[changed] += 1;
-    projection.tile_counts.write(&counts).unwrap();
+    let mut spans = projection.spans.read().unwrap();
+    let changed = (1..=n).find(|&row| spans[row][1] > 0).unwrap();
+    spans[changed][1] += 1;
+    projection.spans.write(&spans).unwrap();
     recording.submit().unwrap();
     assert!(buffers.image.read().unwrap() == image);
-    let slot = (buffers.slot_offsets.read().unwrap()[changed] + counts[changed] - 1) as usize;
+    let [first, tiles] = projection.spans.read().unwrap()[changed];
+    let slot = (first + tiles - 1) as usize;
     let rows = buffers.slots.read().unwrap();
     assert_eq!(rows[slot], [0.0; SLOT_ROW]);
 }
