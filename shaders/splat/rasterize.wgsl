@@ -17,6 +17,7 @@
 @group(0) @binding(5) var<storage, read_write> image: array<f32>;
 @group(0) @binding(6) var<storage, read_write> transmittance: array<f32>;
 
+var<workgroup> ends: vec2<u32>;
 var<workgroup> live: atomic<u32>;
 var<workgroup> go_on: u32;
 
@@ -35,14 +36,19 @@ fn main(
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
-    let end = min(tile_ranges[tile].end, arrayLength(&slots));
+    if (lane == 0u) {
+        let last = min(tile_ranges[tile].end, arrayLength(&slots));
+        ends = vec2<u32>(min(tile_ranges[tile].first, last), last);
+    }
+    // The buffer is written, too, so only this makes the loop uniform by WGSL's rules.
+    let range = workgroupUniformLoad(&ends);
     begin_pixels(pixel);
-    var at = min(tile_ranges[tile].first, end);
+    var at = range.x;
     loop {
-        if (at >= end) {
+        if (at >= range.y) {
             break;
         }
-        let slot = slots[min(at + lane, end - 1u)];
+        let slot = slots[min(at + lane, range.y - 1u)];
         let gaussian = slot_words[min(slot, arrayLength(&slot_words) - 1u)];
         let place = splat_row(gaussian, arrayLength(&projected));
         batch[lane] = splat_of(projected[place], projected[place + 1u], projected[place + 2u]);
@@ -51,7 +57,7 @@ fn main(
         }
         // The batch is loaded before it is read.
         workgroupBarrier();
-        let n = min(end - at, WIDTH);
+        let n = min(range.y - at, WIDTH);
         for (var j = 0u; j < n; j++) {
             blend(batch[j], centre - batch[j].place.xy);
         }

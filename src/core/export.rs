@@ -28,7 +28,7 @@ use crate::poses::model::SparseModel;
 use crate::run_folder::RunFolder;
 
 pub use error::ExportError;
-pub use trim::{Crop, MOST_SH_DEGREE, Middle, Trim};
+pub use trim::{MOST_SH_DEGREE, Trim};
 
 /// Approximate compressed size of a camera or a point in a COLMAP model, bytes.
 const ROW: u64 = 40;
@@ -336,15 +336,8 @@ impl Source {
             let Extent { gaussians, sh_degree, .. } = ply::read_extent(path)?;
             return Ok((Self::File(path.to_owned()), (gaussians, sh_degree)));
         }
-        let whole = ply::read(path)?;
-        let middle = Middle::of(&whole);
-        let left = trim.of(whole);
-        let gaussians = &left.gaussians;
-        let is_empty = (0..gaussians.len()).all(|index| !gaussians.is_usable(index));
-        if let (true, Some(middle)) = (is_empty, middle) {
-            return Err(ExportError::NothingLeft(middle));
-        }
-        let extent = (gaussians.len(), gaussians.sh_degree);
+        let left = trim.of(ply::read(path)?)?;
+        let extent = (left.gaussians.len(), left.gaussians.sh_degree);
         Ok((Self::Trimmed(Box::new(left)), extent))
     }
 

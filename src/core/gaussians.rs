@@ -1,6 +1,7 @@
 //! The scene: 3D Gaussians as a structure of arrays, in the parameterisation that is trained.
 
 pub mod compressed;
+pub mod crop;
 pub mod glb;
 pub mod placement;
 pub mod ply;

@@ -4,7 +4,8 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use fled_core::capture::{is_of_a_run, limit_reader};
-use fled_core::export::{Crop, Export, ExportError, MOST_SH_DEGREE, Trim};
+use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Trim};
+use fled_core::gaussians::crop::Crop;
 use fled_core::mesh::Detail;
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 use fled_core::camera::{Camera, NamedCamera};
 use fled_core::device::Device;
 use fled_core::exposure::Gains;
-use fled_core::gaussians::ply;
+use fled_core::gaussians::crop::Crop;
+use fled_core::gaussians::ply::{self, Scene};
 use fled_core::metrics::Report;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
@@ -50,6 +51,10 @@ pub struct Args {
     /// Uses this round's scene instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
+    /// Shows only the Gaussians whose centres are in box:X,Y,Z,WIDTH,HEIGHT,DEPTH or
+    /// sphere:X,Y,Z,RADIUS, in the world of the poses.
+    #[arg(long, value_name = "SHAPE")]
+    crop: Option<Crop>,
     /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
@@ -85,7 +90,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let camera =
         viewpoint(args)?.camera(&cameras, PictureSize::from(args.size)).map_err(Failure::usage)?;
     let scene = run.scene_of(args.round);
-    let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let scene = read_scene(&scene, args.crop)?;
     let (gaussians, camera) = (scene.gaussians, scene.normalisation.within(&camera));
     let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
@@ -148,6 +153,15 @@ pub fn stops(text: &str) -> Result<f64, String> {
         return Ok(ev);
     }
     Err(format!("must be from -{MOST_STOPS} to {MOST_STOPS} stops"))
+}
+
+/// Reads a scene, or the part of it inside `crop`.
+///
+/// # Errors
+/// [`Failure`] if the file is missing or malformed, or if nothing is inside the crop.
+pub fn read_scene(path: &Path, crop: Option<Crop>) -> Result<Scene, Failure> {
+    let scene = ply::read(path).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    scene.within(crop).map_err(|e| Failure::new(ErrorKind::BadInput, e))
 }
 
 /// Reads the cameras of a run's views.

@@ -9,6 +9,7 @@ use std::time::SystemTime;
 
 use fled_core::camera::normalisation::Normalisation;
 use fled_core::device::Device;
+use fled_core::gaussians::crop::{Crop, EmptyCrop};
 use fled_core::gaussians::ply;
 use fled_core::image::{EncodeFormat, Image, write_atomic};
 use fled_core::pipeline::error::ErrorKind;
@@ -30,7 +31,8 @@ pub fn main() -> Result<(), Failure> {
     for line in io::stdin().lock().lines() {
         let reply = match answer(&mut worker, &line.map_err(gone)?) {
             Ok(()) => RenderReply::Ok(true),
-            Err(why) => RenderReply::Error(why),
+            Err(Fault::Failed(why)) => RenderReply::Error(why),
+            Err(Fault::Empty(crop)) => RenderReply::Empty(crop.to_string()),
         };
         let text =
             serde_json::to_string(&reply).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
@@ -40,7 +42,19 @@ pub fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), String> {
+/// Why there is no picture.
+enum Fault {
+    Failed(String),
+    Empty(EmptyCrop),
+}
+
+impl From<EmptyCrop> for Fault {
+    fn from(crop: EmptyCrop) -> Self {
+        Self::Empty(crop)
+    }
+}
+
+fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), Fault> {
     let request: RenderRequest = serde_json::from_str(line).map_err(words)?;
     let worker = match worker {
         Some(worker) => worker,
@@ -50,23 +64,25 @@ fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), String> {
     worker.render(&request)
 }
 
-fn words(error: impl Display) -> String {
-    error.to_string()
+fn words(error: impl Display) -> Fault {
+    Fault::Failed(error.to_string())
 }
 
-/// The version of the scene file on the device.
-#[derive(PartialEq, Eq)]
+/// The scene on the device: a version of a file, and its crop.
+#[derive(PartialEq)]
 struct Stamp {
     path: PathBuf,
+    crop: Option<Crop>,
     bytes: u64,
     modified: Option<SystemTime>,
 }
 
 impl Stamp {
-    fn of(path: &Path) -> io::Result<Self> {
+    fn of(path: &Path, crop: Option<Crop>) -> io::Result<Self> {
         let metadata = fs::metadata(path)?;
         Ok(Self {
             path: path.to_owned(),
+            crop,
             bytes: metadata.len(),
             modified: metadata.modified().ok(),
         })
@@ -80,12 +96,12 @@ struct Worker {
 }
 
 impl Worker {
-    fn open() -> Result<Self, String> {
+    fn open() -> Result<Self, Fault> {
         let device = Device::new("auto").map_err(words)?;
         Ok(Self { renderer: Renderer::new(&device), scene: None })
     }
 
-    fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
+    fn render(&mut self, request: &RenderRequest) -> Result<(), Fault> {
         let image = match request.shown {
             Shown::Colour => self.colour(request)?.exposed(request.ev),
             Shown::Depth => self.depth(request)?,
@@ -100,20 +116,20 @@ impl Worker {
 
     /// Renders depth, which replaces the colours on the device by colours that depend on the
     /// camera.
-    fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
-        let scene = ply::read(&request.scene).map_err(words)?;
+    fn depth(&self, request: &RenderRequest) -> Result<Image, Fault> {
+        let scene = ply::read(&request.scene).map_err(words)?.within(request.crop)?;
         let camera = scene.normalisation.within(&request.camera.camera());
         let depth = self.renderer.depth(&scene.gaussians, &camera).map_err(words)?;
         Ok(depth.picture())
     }
 
-    fn colour(&mut self, request: &RenderRequest) -> Result<Image, String> {
-        let stamp = Stamp::of(&request.scene).map_err(words)?;
+    fn colour(&mut self, request: &RenderRequest) -> Result<Image, Fault> {
+        let stamp = Stamp::of(&request.scene, request.crop).map_err(words)?;
         let known = self.scene.take().filter(|(known, ..)| *known == stamp);
         let (_, scene, normalisation) = self.scene.insert(match known {
             Some(known) => known,
             None => {
-                let scene = ply::read(&request.scene).map_err(words)?;
+                let scene = ply::read(&request.scene).map_err(words)?.within(request.crop)?;
                 let uploaded = self.renderer.upload(&scene.gaussians).map_err(words)?;
                 (stamp, uploaded, scene.normalisation)
             }

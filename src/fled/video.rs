@@ -7,7 +7,7 @@ use fled_core::camera::Camera;
 use fled_core::cancel::{CancelToken, Cancelled};
 use fled_core::device::Device;
 use fled_core::event::Event;
-use fled_core::gaussians::ply;
+use fled_core::gaussians::crop::Crop;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
 use fled_core::run_folder::RunFolder;
@@ -17,7 +17,7 @@ use rustix::process::setpriority_process;
 
 use crate::failure::{Failure, io};
 use crate::progress::{overall_bar, print};
-use crate::render::read_cameras;
+use crate::render::{read_cameras, read_scene};
 use crate::tools;
 
 /// The lowest scheduling priority.
@@ -60,6 +60,10 @@ pub struct Args {
     /// Uses this round's scene instead of the delivered one.
     #[arg(long, conflicts_with = "plan")]
     round: Option<u32>,
+    /// Shows only the Gaussians whose centres are in box:X,Y,Z,WIDTH,HEIGHT,DEPTH or
+    /// sphere:X,Y,Z,RADIUS, in the world of the poses.
+    #[arg(long, value_name = "SHAPE", conflicts_with = "plan")]
+    crop: Option<Crop>,
     /// The device: auto, cpu, or part of a Vulkan adapter's name.
     #[arg(long, default_value = "auto")]
     adapter: String,
@@ -116,7 +120,7 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let plan = plan(args)?;
     let cameras = plan.cameras(&read_cameras(&run.cameras())?)?;
     let scene = run.scene_of(plan.round);
-    let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let scene = read_scene(&scene, plan.crop)?;
     let within = |camera: &Camera| scene.normalisation.within(camera);
     let cameras: Vec<Camera> = cameras.iter().map(within).collect();
     let device = Device::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
@@ -149,6 +153,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
         width: args.size.map(|(width, _)| width),
         height: args.size.map(|(_, height)| height),
         round: args.round,
+        crop: args.crop,
         degrees: args.degrees,
         elevation: args.elevation,
         distance: args.distance,

@@ -12,6 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::camera::NamedCamera;
+use fled_core::gaussians::crop::Crop;
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncWriteExt;
 use tokio::sync::{Mutex, oneshot};
@@ -80,6 +81,9 @@ pub struct RenderRequest {
     /// Stops by which the linear light is brightened; no effect on depth.
     #[serde(default)]
     pub ev: f64,
+    /// The part of the scene to show; all of it without one.
+    #[serde(default)]
+    pub crop: Option<Crop>,
     /// Format of the picture.
     pub format: Format,
     /// Path of the picture to write.
@@ -94,6 +98,8 @@ pub enum RenderReply {
     Ok(bool),
     /// Why it has not.
     Error(String),
+    /// Nothing is inside the crop, and where the scene is.
+    Empty(String),
 }
 
 /// Why a render failed.
@@ -105,6 +111,9 @@ pub enum RenderError {
     /// The process refused the request.
     #[error("{0}")]
     Refused(String),
+    /// Nothing is inside the crop.
+    #[error("{0}")]
+    Empty(String),
     /// The process died, could not be started, or did not answer.
     #[error("the render process {0}")]
     Process(String),
@@ -177,6 +186,7 @@ async fn exchange(
         match tokio::time::timeout(timeout, ask(group, line)).await {
             Ok(Some(RenderReply::Ok(_))) => return Ok(()),
             Ok(Some(RenderReply::Error(why))) => return Err(RenderError::Refused(why)),
+            Ok(Some(RenderReply::Empty(why))) => return Err(RenderError::Empty(why)),
             Ok(None) => *slot = None,
             Err(_) => {
                 group.stop(grace).await;

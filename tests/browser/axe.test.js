@@ -90,7 +90,7 @@ const PAGES = {
     async (page) => {
       await page.getByRole("button", { name: /Walk through the scene/ }).click();
       await page.locator(".frame[aria-busy=false]").waitFor();
-      await page.getByRole("combobox", { name: "Crop of exports" }).selectOption("box");
+      await page.getByRole("combobox", { name: "Crop", exact: true }).selectOption("box");
       await page.getByRole("slider", { name: "Depth" }).waitFor();
       await page.getByRole("button", { name: "Measure" }).click();
       await seen(page.getByRole("status"), "Choose the first point");

@@ -50,7 +50,7 @@ after(async () => {
 
 const frame = (page) => page.getByRole("application");
 const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
-const select = (page) => page.getByRole("combobox", { name: "Crop of exports" });
+const select = (page) => page.getByRole("combobox", { name: "Crop", exact: true });
 const place = (page) => page.getByRole("button", { name: "Place", exact: true });
 const said = (page, words) => page.locator(".stage .hint", { hasText: words }).waitFor();
 const near = (a, b, by, what) => assert.ok(Math.abs(a - b) < by, `${what}: ${a}, not ${b}`);
@@ -157,11 +157,15 @@ for (const [shape, sizes] of [["sphere", ["Radius"]], ["box", ["Width", "Height"
       await settled(page);
       await picture(page, `page-crop-${shape}`);
       const cropped = await shown(page);
+      const asks = page.waitForRequest(/\/render$/);
+      await page.getByRole("button", { name: /^Save PNG/ }).click();
+      const saved = (await asks).postDataJSON();
 
       const address = await exported(page, "scene.ply");
       const crop = address.searchParams.get("crop");
       assert.equal(crop.split(":")[0], shape);
       assert.deepEqual(crop.split(":")[1].split(",").slice(0, 3).map(Number), await middle(page));
+      assert.equal(saved.crop, crop);
       const bytes = new Uint8Array(await (await fetch(address)).arrayBuffer());
       const kept = rowsOf(wall.bytes).filter((row) => isInside(crop, row.place));
       assert.ok(kept.length > 200 && kept.length < 8000, `${kept.length} are inside`);
@@ -202,10 +206,18 @@ test("the links of scenes and meshes carry the crop until it is dropped", () =>
     const { pathname, search } = new URL(await download.evaluate((link) => link.href));
     assert.match(pathname + search, /\/exports\/scene\.ply\?crop=box%3A/);
     await picture(page, "page-crop-links");
+    const videos = await unfolded(page, "Videos");
+    await videos.getByText("Shows only the inside of the box drawn in the 3D view.").waitFor();
+    await page.route(/\/videos$/, (route) => (route.request().method() === "POST"
+      ? route.fulfill({ status: 202, json: {} }) : route.continue()));
+    const asks = page.waitForRequest((request) => request.method() === "POST");
+    await videos.getByRole("button", { name: "Create video" }).click();
+    assert.match((await asks).postDataJSON().crop, /^box:/);
     await settled(page);
     const whole = await shown(page);
     await notice.getByRole("button", { name: "Export everything" }).click();
     assert.deepEqual(await cropped(), []);
+    assert.equal(await videos.getByText("drawn in the 3D view").count(), 0);
     assert.match(await download.evaluate((link) => link.href), /\/artifacts\/scene\.ply$/);
     assert.equal(await notice.isVisible(), false);
     await settled(page);

@@ -108,9 +108,13 @@ fn the_scene_is_trimmed(folder: &Path, run: &Path) {
     };
     let [some, all] = ["sphere:0,0,0,2", "box:0,0,0,1e9,1e9,1e9"].map(kept);
     assert!(0 < some && some < all && all == gaussians, "{some} of {gaussians}");
-    let far = &["export", "scene.ply", "--crop", "sphere:1e6,0,0,1"][..];
     for (arguments, exit, fault) in [
-        (far, 3, "the middle of the scene is"),
+        (
+            &["export", "scene.ply", "--crop", "sphere:1e6,0,0,1"][..],
+            3,
+            "the middle of the scene is",
+        ),
+        (&["video", "--orbit", "--crop", "sphere:1e6,0,0,1"], 3, "the middle of the scene is"),
         (&["export", "restored.zip", "--sh-degree", "1"], 2, "restored.zip holds no scene"),
         (&["export", "linear.zip", "--round", "1"], 2, "of the delivered round alone"),
     ] {

@@ -203,8 +203,8 @@ fn check_artifacts(server: &Server, job: &str) {
     assert_eq!(private, None, "what only a resumed run reads is no artifact");
 }
 
-/// Checks that a photograph's view renders as in the pipeline, and other aspect ratios as in
-/// `fled render`, with square pixels.
+/// Checks that a photograph's view renders as in the pipeline, and other aspect ratios, depth and a
+/// crop as in `fled render`, with square pixels.
 fn check_views(server: &Server, job: &str) {
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let camera =
@@ -218,16 +218,46 @@ fn check_views(server: &Server, job: &str) {
     let folder = server.folder.path();
     let (run, file) =
         (folder.join(format!("data/jobs/{job}/output")), folder.join("by_command.png"));
-    for (show, flags) in [("colour", &[][..]), ("depth", &["--depth"])] {
-        let query = format!("view={name}&width=60&height=90&format=png&show={show}");
+    let half = half_of(camera);
+    let (query, flag) = (format!("crop={half}"), format!("--crop={half}"));
+    let pictures = [
+        ("", &[][..]),
+        ("show=depth", &["--depth"]),
+        (&query, &[&flag]),
+        (&format!("show=depth&{query}"), &["--depth", &flag]),
+    ];
+    let pictures = pictures.map(|(query, flags)| {
+        let query = format!("view={name}&width=60&height=90&format=png&{query}");
         let by_service = server.picture(view(&query));
         let mut command = fled();
         command.arg("render").arg(&run).args(flags);
         command.args(["--view", name, "--size", "60x90", "-o"]);
         succeed(command.arg(&file));
         let by_command = Image::load(&file).expect("a picture");
-        assert!(by_service == by_command, "{show}: two pictures");
-    }
+        assert!(by_service == by_command, "{query}: two pictures");
+        by_service
+    });
+    let [whole, far, part, part_far] = pictures.map(|picture| fled_core::metrics::mean_v(&picture));
+    assert!(part > 0.1 * whole && part < 0.9 * whole, "{part} of {whole} are in half of the scene");
+    assert!(part_far < 0.9 * far, "depth: {part_far} of {far} are in half of the scene");
+    view(&format!("view={name}&crop=sphere:1e6,0,0,1")).expect(422);
+}
+
+/// A box around everything on one side of a camera.
+fn half_of(camera: &Value) -> String {
+    let row = |row: usize| -> [f64; 4] {
+        serde_json::from_value(camera["world_to_camera"][row].clone()).expect("a row")
+    };
+    let [right, down, ahead] = [row(0), row(1), row(2)];
+    let mut centre =
+        [0, 1, 2].map(|k| -right[k] * right[3] - down[k] * down[3] - ahead[k] * ahead[3]);
+    let along = |k: &usize| right[*k].abs();
+    let axis = (0..3).max_by(|a, b| along(a).total_cmp(&along(b))).expect("an axis");
+    centre[axis] += 1000.0;
+    let mut size = [9999.0; 3];
+    size[axis] = 2000.0;
+    let numbers = [centre, size].concat().iter().map(f64::to_string).collect::<Vec<_>>();
+    format!("box:{}", numbers.join(","))
 }
 
 #[test]

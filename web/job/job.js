@@ -43,11 +43,11 @@ export function jobPage(main, who, id) {
   const facts = folding("Details");
   const request = folding("Request");
   const files = section("Files");
-  const filmed = videos(id, isVisitor);
+  const shaping = newShaping();
+  const filmed = videos(id, isVisitor, shaping);
   const exported = folding("Export");
   const views = comparison(id);
   const scores = byView(views.open);
-  const shaping = newShaping();
   const scene = scenePanel(id, {}, shaping);
   // If the browser draws the scene, the server need not turn it.
   const novel = hasWebGl() ? null : novelView(id);

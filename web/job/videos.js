@@ -2,6 +2,7 @@
 
 import { ask } from "../lib/dialog.js";
 import { api, count, folding, h, send, show, size, when } from "../lib/dom.js";
+import { cropText } from "../lib/shaping.js";
 
 /** Interval of requests while a video is made. */
 const LOOK_MS = 1000;
@@ -12,8 +13,11 @@ const WAYS = {
 const SECONDS = [4, 8, 15, 30, 60];
 const SIDES = [640, 960, 1280, 1920];
 
-/** The section of job `id`; a visitor by a link sees the videos but makes none. */
-export function videos(id, isVisitor) {
+/**
+ * The section of job `id`; a visitor by a link sees the videos but makes none. New videos show only
+ * the inside of the crop of `shaping`.
+ */
+export function videos(id, isVisitor, shaping) {
   const base = `v1/jobs/${id}/videos`;
   const root = folding("Videos");
   const problem = h("p", { class: "problem", role: "alert" });
@@ -31,8 +35,13 @@ export function videos(id, isVisitor) {
   const items = new Map();
   let [timer, gone, isOpen, isUpright] = [0, false, false, false];
 
-  const explain = () => { [, about.textContent] = WAYS[way.value]; };
+  const explain = () => {
+    const { crop } = shaping.now;
+    const part = crop ? ` Shows only the inside of the ${crop.shape} drawn in the 3D view.` : "";
+    about.textContent = WAYS[way.value][1] + part;
+  };
   way.addEventListener("change", explain);
+  const deaf = shaping.heard(explain);
   explain();
 
   async function make(event) {
@@ -41,7 +50,9 @@ export function videos(id, isVisitor) {
     problem.textContent = "";
     try {
       const long = { [isUpright ? "height" : "width"]: Number(side.value) };
-      await send(base, { kind: way.value, seconds: Number(seconds.value), ...long });
+      const { crop } = shaping.now;
+      const part = crop ? { crop: cropText(crop) } : {};
+      await send(base, { kind: way.value, seconds: Number(seconds.value), ...long, ...part });
       await look();
     } catch (error) {
       problem.textContent = error.message;
@@ -106,6 +117,7 @@ export function videos(id, isVisitor) {
     },
     leave() {
       gone = true;
+      deaf();
       clearTimeout(timer);
     },
   };
@@ -113,7 +125,7 @@ export function videos(id, isVisitor) {
 
 /** One video in its current state: `{ state, node, update }`. */
 function entry(base, video, remove) {
-  const words = `${WAYS[video.kind]?.[0] ?? "Custom path"}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
+  const words = `${WAYS[video.kind]?.[0] ?? "Custom path"}${video.crop ? ", cropped" : ""}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
   const line = h("span", { class: "soft now", role: "status" });
   const bar = h("progress", { max: 1, "aria-label": `Progress of the video: ${words}` });
   const file = `${base}/${video.id}/file`;

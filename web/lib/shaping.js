@@ -1,10 +1,10 @@
-// What the user has drawn in the scene to shape its exports; the scene and the list of exports
-// both show and change it.
+// What the user has drawn in the scene to shape exports, pictures and videos of it; the scene and
+// the list of exports both show and change it.
 
 /**
- * `now` is `{ isOffered, crop, scale }`: whether there are exports, and a crop of them and their
- * metres per unit of the poses' world, each `null` if there is none. `change(some)` replaces some
- * of it. `heard(does)` calls `does` after each change until the function that it returns is called.
+ * `now` is `{ isOffered, crop, scale }`: whether there are exports, the crop, and the metres per
+ * unit of the poses' world, the last two `null` if there is none. `change(some)` replaces some of
+ * it. `heard(does)` calls `does` after each change until the function that it returns is called.
  */
 export function newShaping() {
   const hearing = new Set();
@@ -29,5 +29,5 @@ export function shapingQuery({ crop, scale }) {
   return query.size > 0 ? `?${query}` : "";
 }
 
-/** A crop as `crop` of an export's address. */
+/** A crop as the requests for exports, pictures and videos take it. */
 export const cropText = ({ shape, centre, size }) => `${shape}:${[...centre, ...size].join(",")}`;

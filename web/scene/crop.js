@@ -1,4 +1,4 @@
-// The part of a scene that exports keep: a sphere, or a box along the axes of the poses' world.
+// The part of a scene to keep: a sphere, or a box along the axes of the poses' world.
 //
 // A crop is `{ shape: "sphere" | "box", centre, size }` in the world of the poses, in which `size`
 // is `[radius]` or `[width, height, depth]`. As drawn it is `{ isBox, centre, half }`.

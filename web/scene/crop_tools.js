@@ -1,4 +1,4 @@
-// The controls of the crop that is drawn in the scene, for exports.
+// The controls of the crop that is drawn in the scene.
 
 import { h } from "../lib/dom.js";
 import {
@@ -28,7 +28,7 @@ export function cropTools(shaping, surroundings, world, ask) {
   const choose = () => shaping.change({
     crop: select.value === "" ? null : reshaped(last, select.value),
   });
-  const select = h("select", { "aria-label": "Crop of exports", onchange: choose },
+  const select = h("select", { "aria-label": "Crop", onchange: choose },
     [["", "No crop"], ["sphere", "Crop to a sphere"], ["box", "Crop to a box"]]
       .map(([value, words]) => h("option", { value }, words)));
   const place = h("button", {

@@ -5,7 +5,7 @@ import { address, h, size } from "../lib/dom.js";
 
 /**
  * The section of a page for the scene of `job`: `{ root, update, leave }`. `headers` go with each
- * request if there is no cookie. `shaping` is what the user draws for exports, where there are any.
+ * request if there is no cookie. `shaping` is what the user draws there, if it may be drawn.
  */
 export function scenePanel(job, headers = {}, shaping = null) {
   const image = h("img", { alt: "", draggable: false });

@@ -2,12 +2,16 @@
 
 import { answer } from "../lib/dom.js";
 import { saved } from "../lib/download.js";
+import { cropText } from "../lib/shaping.js";
 
 /** Longest side that the server renders, px. */
 const LONGEST = 2048;
 
-/** The body of `POST /v1/jobs/{id}/render`: world to camera, intrinsics `k`, stops brighter. */
-export function request(scene, matrix, k, ev = 0) {
+/**
+ * The body of `POST /v1/jobs/{id}/render`: world to camera, intrinsics `k`, stops brighter, and the
+ * crop as shaping has it, if there is one.
+ */
+export function request(scene, matrix, k, ev = 0, crop = null) {
   const scale = Math.min(1, LONGEST / Math.max(k.width, k.height));
   const side = (length) => Math.max(16, Math.round(length * scale));
   const [width, height] = [side(k.width), side(k.height)];
@@ -19,14 +23,15 @@ export function request(scene, matrix, k, ev = 0) {
     ...(scene.isDelivered ? {} : { round: scene.round }),
     format: "png",
     ev,
+    ...(crop ? { crop: cropText(crop) } : {}),
   };
 }
 
 /** Fetches the picture and has the browser save it as `name`. */
-export async function savedPicture(job, name, scene, matrix, k, ev) {
+export async function savedPicture(job, name, scene, matrix, k, ev, crop) {
   const response = await answer(`v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(request(scene, matrix, k, ev)),
+    body: JSON.stringify(request(scene, matrix, k, ev, crop)),
   });
   saved(await response.blob(), name);
 }

@@ -51,7 +51,7 @@ const NOTHING = "There is no surface at that place";
  * Opens the scene of a job in `place`. `name` is the job's, `scenes` are
  * `{ round, url, isDelivered }`, `first` is the initial one and `start` the name of the initial
  * camera, whose view has the best score if `isBest`. `headers` go with each request. `shaping` is
- * what the user draws for exports; without it there are no tools for that.
+ * what the user draws there; without it there are no tools for that.
  * `ended(words)` is called when the view closes, with the reason if it closes by itself. Throws a
  * `SceneError` if the browser cannot draw it.
  */
@@ -92,6 +92,7 @@ class View {
 
   constructor(of, cameras, scenes, ended) {
     this.job = of.job;
+    this.shaping = of.shaping;
     this.headers = of.headers;
     this.name = of.name;
     this.world = worldOf(cameras);
@@ -375,9 +376,13 @@ class View {
     this.#busy(this.#incoming !== null);
   }
 
+  /** Whether all of the scene is shown: without a crop, and while one is being placed. */
+  #isWhole() {
+    return !this.crop?.drawn() || (this.#aim !== null && !this.#aim.isCropped);
+  }
+
   #draw(part) {
-    // Whoever places a crop sees all of the scene.
-    const crop = this.#aim && !this.#aim.isCropped ? null : this.crop?.drawn();
+    const crop = this.#isWhole() ? null : this.crop.drawn();
     this.drawer.draw(this.pose, this.shown, part, this.tools.ev(), crop);
     const context = this.lines.getContext("2d");
     const { width, height } = this.lines;
@@ -416,7 +421,8 @@ class View {
   /** Saves this view as rendered by the server. */
   async save() {
     try {
-      await savedPicture(this.job, this.#named(), this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev());
+      const crop = this.#isWhole() ? null : this.shaping.now.crop;
+      await savedPicture(this.job, this.#named(), this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev(), crop);
     } catch (error) {
       this.tools.say(`The picture could not be saved. ${error.message}`);
     }

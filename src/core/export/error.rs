@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::Middle;
+use crate::gaussians::crop::EmptyCrop;
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
 use crate::mesh::MeshError;
@@ -64,8 +64,8 @@ pub enum ExportError {
     )]
     EightBits(&'static str),
     /// A crop leaves nothing.
-    #[error("no Gaussian's centre is inside the crop; the middle of the scene is at {0}")]
-    NothingLeft(Middle),
+    #[error(transparent)]
+    NothingLeft(#[from] EmptyCrop),
     /// The format cannot hold the scene, or not in these units.
     #[error("{0}")]
     Unsuited(io::Error),

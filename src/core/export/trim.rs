@@ -1,11 +1,7 @@
 //! The part of a scene to export, and its unit of length.
 
-use std::fmt;
-use std::str::FromStr;
-
-use glam::DVec3;
-
 use crate::camera::{NamedCamera, upright};
+use crate::gaussians::crop::{Crop, EmptyCrop};
 use crate::gaussians::placement::Placement;
 use crate::gaussians::ply::Scene;
 use crate::mesh::Detail;
@@ -61,148 +57,15 @@ impl Trim {
         Placement { scale: self.scale.unwrap_or(scale), up: up.unwrap_or(usual) }
     }
 
-    /// The rest of a scene. A Gaussian is inside a crop if its centre is. Scale and fineness of a
-    /// mesh do not change the scene.
-    pub(super) fn of(&self, scene: Scene) -> Scene {
-        let Scene { mut gaussians, normalisation } = scene;
-        if let Some(crop) = self.crop {
-            let place = |index: usize| {
-                normalisation.point_in_world(gaussians.means[index].map(f64::from).into())
-            };
-            let kept = (0..gaussians.len()).filter(|&index| crop.contains(place(index)));
-            gaussians = gaussians.select(&kept.collect::<Vec<_>>());
-        }
+    /// The rest of a scene. Scale and fineness of a mesh do not change the scene.
+    ///
+    /// # Errors
+    /// [`EmptyCrop`].
+    pub(super) fn of(&self, scene: Scene) -> Result<Scene, EmptyCrop> {
+        let mut scene = scene.within(self.crop)?;
         if let Some(degree) = self.sh_degree {
-            gaussians = gaussians.with_sh_degree(degree);
+            scene.gaussians = scene.gaussians.with_sh_degree(degree);
         }
-        Scene { gaussians, normalisation }
-    }
-}
-
-/// A part of space, in the world of the poses.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Crop {
-    /// A box along the axes.
-    Box {
-        /// Its middle.
-        centre: DVec3,
-        /// Its sides along x, y and z.
-        size: DVec3,
-    },
-    /// A sphere.
-    Sphere {
-        /// Its middle.
-        centre: DVec3,
-        /// Its radius.
-        radius: f64,
-    },
-}
-
-impl Crop {
-    /// How it is written.
-    pub const FORMS: &str = "box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS";
-
-    /// Whether a point is inside.
-    pub fn contains(&self, point: DVec3) -> bool {
-        match *self {
-            Self::Box { centre, size } => (point - centre).abs().cmple(size / 2.0).all(),
-            Self::Sphere { centre, radius } => point.distance(centre) <= radius,
-        }
-    }
-}
-
-impl FromStr for Crop {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let form = || format!("`{text}` must be {}", Self::FORMS);
-        let (shape, numbers) = text.split_once(':').ok_or_else(form)?;
-        let number = |word: &str| {
-            let number = word.trim().parse().ok().filter(|number: &f64| number.is_finite());
-            number.ok_or_else(|| format!("`{word}` is not a number: {}", form()))
-        };
-        let numbers: Vec<f64> = numbers.split(',').map(number).collect::<Result<_, _>>()?;
-        let (crop, lengths) = match (shape, &numbers[..]) {
-            ("box", &[x, y, z, ref size @ ..]) if size.len() == 3 => {
-                let centre = DVec3::new(x, y, z);
-                (Self::Box { centre, size: DVec3::from_slice(size) }, size)
-            }
-            ("sphere", &[x, y, z, ref radius @ ..]) if radius.len() == 1 => {
-                (Self::Sphere { centre: DVec3::new(x, y, z), radius: radius[0] }, radius)
-            }
-            _ => return Err(form()),
-        };
-        match lengths.iter().find(|length| **length <= 0.0) {
-            Some(length) => Err(format!("lengths must be positive, not {length}: {}", form())),
-            None => Ok(crop),
-        }
-    }
-}
-
-/// The middle of a scene, to say where a crop should be.
-#[derive(Clone, Copy, Debug)]
-pub struct Middle(DVec3);
-
-impl Middle {
-    /// The median of each axis, in the world of the poses; `None` without Gaussians.
-    pub(super) fn of(scene: &Scene) -> Option<Self> {
-        let means = &scene.gaussians.means;
-        let median = |axis: usize| {
-            let mut values: Vec<f32> = means.iter().map(|mean| mean[axis]).collect();
-            values.sort_by(f32::total_cmp);
-            values.get(values.len() / 2).copied().map(f64::from)
-        };
-        let median = DVec3::new(median(0)?, median(1)?, median(2)?);
-        Some(Self(scene.normalisation.point_in_world(median)))
-    }
-}
-
-impl fmt::Display for Middle {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let DVec3 { x, y, z } = self.0;
-        write!(f, "{x:.3},{y:.3},{z:.3}")
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_box_and_a_sphere_hold_what_is_inside() {
-        let one: Crop = "box:1,2,-3,2,4,6".parse().expect("a box");
-        for (point, is_inside) in [
-            ([1.0, 2.0, -3.0], true),
-            ([2.0, 4.0, -6.0], true),
-            ([2.1, 2.0, -3.0], false),
-            ([1.0, 4.1, -3.0], false),
-            ([1.0, 2.0, 0.1], false),
-            ([f64::NAN, 2.0, -3.0], false),
-        ] {
-            assert_eq!(one.contains(point.into()), is_inside, "{point:?}");
-        }
-        let one: Crop = "sphere: 512352.5, 0, 0, 2".parse().expect("a sphere");
-        assert!(one.contains(DVec3::new(512_352.5, 1.2, -1.5)));
-        assert!(!one.contains(DVec3::new(512_352.5, 1.5, -1.5)));
-    }
-
-    #[test]
-    fn a_crop_that_is_none_says_what_is_wrong() {
-        for (text, fault) in [
-            ("ball:0,0,0,1", "must be box:X,Y,Z,WIDTH,HEIGHT,DEPTH or sphere:X,Y,Z,RADIUS"),
-            ("0,0,0,1", "must be box"),
-            ("sphere:0,0,0", "must be box"),
-            ("sphere:0,0,0,1,1", "must be box"),
-            ("box:0,0,0,1,1", "must be box"),
-            ("box:0,0,0,1,1,x", "`x` is not a number"),
-            ("box:0,0,0,1,,1", "`` is not a number"),
-            ("sphere:0,0,0,inf", "`inf` is not a number"),
-            ("sphere:NaN,0,0,1", "`NaN` is not a number"),
-            ("sphere:0,0,0,-1", "lengths must be positive, not -1"),
-            ("box:0,0,0,1,0,1", "lengths must be positive, not 0"),
-        ] {
-            let error = text.parse::<Crop>().expect_err(text);
-            assert!(error.contains(fault), "{error}");
-        }
+        Ok(scene)
     }
 }

@@ -28,8 +28,8 @@ pub struct Projection {
     /// Stale where a Gaussian touches no tile.
     pub projected: Buffer<[f32; 4]>,
     /// [1 + capacity]: first slot (undefined if culled), number of tiles touched (0 if culled). The
-    /// first row: the exact number of intersections of the last image, that of gradients which
-    /// training dropped. One buffer for all four keeps the optimiser's bindings at eight.
+    /// first row: the exact number of intersections of the last image, and the number of gradients
+    /// that training dropped. One buffer for all four keeps the optimiser's bindings at eight.
     pub spans: Buffer<[u32; 2]>,
     /// Bits of the depth, all ones if culled, [capacity].
     pub depth_keys: Buffer<u32>,

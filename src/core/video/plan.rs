@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::flight;
 use crate::camera::orbit::Orbit;
 use crate::camera::{Camera, NamedCamera, Split};
+use crate::gaussians::crop::Crop;
 use crate::run_folder::{PictureSize, Viewpoint};
 
 /// Maximum duration, s.
@@ -76,6 +77,9 @@ pub struct Plan {
     /// The round; default: the delivered one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub round: Option<u32>,
+    /// The part of the scene to show; default: all of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub crop: Option<Crop>,
     /// For an orbit, the arc in total: 360 is once around, less a swing to both sides and back;
     /// default: the arc of the photographers.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -117,6 +121,7 @@ impl Plan {
             width: None,
             height: None,
             round: None,
+            crop: None,
             degrees: None,
             elevation: None,
             distance: None,

@@ -176,12 +176,17 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
             say(r#"{"error":"/srv/fled/jobs/1/output/scene.ply: damaged"}"#);
             continue;
         }
+        if request.crop.is_some_and(|crop| !crop.contains(glam::DVec3::ZERO)) {
+            say(r#"{"empty":"no Gaussian's centre is inside the crop"}"#);
+            continue;
+        }
         let k = request.camera.intrinsics;
         let turn = request.camera.world_to_camera[0][0] as f32;
         let shade = match request.shown {
             Shown::Colour => 0.3 + 0.3 * turn,
             Shown::Depth => 0.9,
         };
+        let shade = if request.crop.is_some() { 0.5 * shade } else { shade };
         let picture: Image = Image::new(k.width, k.height).map(|_| shade);
         let out = PathBuf::from(&request.out);
         let format = match request.format {

@@ -10,6 +10,7 @@ use axum::extract::{Path, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::export::{Export, ExportError, MOST_SH_DEGREE, Prepared, Trim};
+use fled_core::gaussians::crop::Crop;
 use fled_core::mesh::Detail;
 use fled_core::run_folder::RunFolder;
 use futures::stream::{self, StreamExt, poll_fn};
@@ -69,24 +70,20 @@ pub struct DownloadQuery {
 
 impl DownloadQuery {
     fn trim(&self) -> Result<Trim, Problem> {
-        let refused = |key: &str, fault: String| {
-            Problem::unprocessable("bad_input", format!("{fault}.")).pointer(format!("/{key}"))
-        };
-        let crop = self.crop.as_deref().map(str::parse).transpose();
-        let crop = crop.map_err(|fault: String| refused("crop", fault))?;
+        let crop = crop_of(self.crop.as_deref())?;
         if let Some(degree) = self.sh_degree
             && degree > MOST_SH_DEGREE
         {
             let fault = format!("`sh_degree` must be from 0 to {MOST_SH_DEGREE}");
-            return Err(refused("sh_degree", fault));
+            return Err(unusable("sh_degree", &fault));
         }
         let scale = self.scale.map(Trim::scale).transpose();
-        let scale = scale.map_err(|fault| refused("scale", format!("`scale` {fault}")))?;
+        let scale = scale.map_err(|fault| unusable("scale", &format!("`scale` {fault}")))?;
         let triangles = self.triangles.map(Detail::triangles).transpose();
         let triangles =
-            triangles.map_err(|fault| refused("triangles", format!("`triangles` {fault}")))?;
+            triangles.map_err(|fault| unusable("triangles", &format!("`triangles` {fault}")))?;
         let voxel = self.voxel.map(Detail::voxel).transpose();
-        let voxel = voxel.map_err(|fault| refused("voxel", format!("`voxel` {fault}")))?;
+        let voxel = voxel.map_err(|fault| unusable("voxel", &format!("`voxel` {fault}")))?;
         Ok(Trim { crop, sh_degree: self.sh_degree, scale, mesh: Detail { triangles, voxel } })
     }
 
@@ -103,6 +100,18 @@ impl DownloadQuery {
         add("voxel", self.voxel.map(|voxel| voxel.to_string()));
         arguments
     }
+}
+
+/// Reads the crop of a request.
+///
+/// # Errors
+/// 422 if it is not a crop.
+pub(super) fn crop_of(text: Option<&str>) -> Result<Option<Crop>, Problem> {
+    text.map(str::parse).transpose().map_err(|fault: String| unusable("crop", &fault))
+}
+
+fn unusable(key: &str, fault: &str) -> Problem {
+    Problem::unprocessable("bad_input", format!("{fault}.")).pointer(format!("/{key}"))
 }
 
 /// A format in which the result can be exported.

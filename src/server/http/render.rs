@@ -8,6 +8,7 @@ use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
+use fled_core::gaussians::crop::Crop;
 use fled_core::pipeline::workspace::fingerprint;
 use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint, ViewpointError};
 use serde::Deserialize;
@@ -15,6 +16,7 @@ use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::client::ClientAddress;
+use super::exports::crop_of;
 use super::extract::{Json, Query};
 use super::lookup::{cameras_of, find};
 use super::problem::Problem;
@@ -67,6 +69,9 @@ pub struct RenderQuery {
     show: Option<Shown>,
     /// Stops by which to brighten the linear light, from -16 to 16; 0 by default.
     ev: Option<f64>,
+    /// Shows only the Gaussians whose centres lie in a shape around X, Y, Z:
+    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, in the world of the poses.
+    crop: Option<String>,
 }
 
 /// A camera to render from.
@@ -86,6 +91,9 @@ pub struct RenderBody {
     show: Option<Shown>,
     /// Stops by which to brighten the linear light, from -16 to 16; 0 by default.
     ev: Option<f64>,
+    /// Shows only the Gaussians whose centres lie in a shape around X, Y, Z:
+    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, in the world of the poses.
+    crop: Option<String>,
 }
 
 /// A row of a matrix.
@@ -114,6 +122,7 @@ pub struct Pinhole {
         (status = 304, description = "Not modified"),
         (status = 404, description = "Job, view or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid size, viewpoint, `ev` or `crop`", body = Problem, content_type = "application/problem+json"),
         (status = 503, description = "Too many renders are waiting, or the render process failed", body = Problem, content_type = "application/problem+json")))]
 pub async fn get(
     State(app): State<Arc<App>>,
@@ -130,6 +139,7 @@ pub async fn get(
         format: query.format.unwrap_or(Format::Jpeg),
         shown: query.show.unwrap_or_default(),
         ev: check_stops(query.ev)?,
+        crop: crop_of(query.crop.as_deref())?,
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -142,7 +152,7 @@ pub async fn get(
         (status = 200, description = "The picture", body = Bytes, content_type = "image/*"),
         (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Invalid camera", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "Invalid camera, `ev` or `crop`", body = Problem, content_type = "application/problem+json")))]
 pub async fn post(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -166,6 +176,7 @@ pub async fn post(
         format: body.format.unwrap_or(Format::Jpeg),
         shown: body.show.unwrap_or_default(),
         ev: check_stops(body.ev)?,
+        crop: crop_of(body.crop.as_deref())?,
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -295,6 +306,7 @@ struct Wanted {
     format: Format,
     shown: Shown,
     ev: f64,
+    crop: Option<Crop>,
 }
 
 async fn picture(
@@ -326,6 +338,7 @@ async fn picture(
         camera: wanted.camera,
         shown: wanted.shown,
         ev: wanted.ev,
+        crop: wanted.crop,
         format,
         out: out.clone(),
     };
@@ -341,24 +354,28 @@ async fn picture(
 }
 
 fn failed(error: &RenderError) -> Problem {
-    tracing::error!(%error, "a render failed");
     let code = match error {
+        RenderError::Empty(why) => {
+            return Problem::unprocessable("bad_input", format!("{why}.")).pointer("/crop");
+        }
         RenderError::Busy => "busy",
         RenderError::Refused(_) | RenderError::Process(_) => "render_failed",
     };
+    tracing::error!(%error, "a render failed");
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, without_paths(&error.to_string()))
         .hint("Try again. /readyz shows whether the adapter works.")
         .retry_after(RENDER_RETRY)
 }
 
 /// A hash of all that an image depends on: the build, this exact scene file, the camera, the size,
-/// the format and the content shown.
+/// the format, the content shown and the crop.
 fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let metadata = std::fs::metadata(scene)?;
     let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);
     let file = format!("{scene:?} {:?} {}", metadata.modified()?, metadata.len());
     let view = format!("{:?} {:?}", camera.intrinsics, camera.world_to_camera);
-    let key = fingerprint(&[&file, &view, &format!("{format:?} {shown:?} {ev:?}")]);
+    let crop = wanted.crop.map(String::from).unwrap_or_default();
+    let key = fingerprint(&[&file, &view, &format!("{format:?} {shown:?} {ev:?}"), &crop]);
     Ok(key[..32].to_owned())
 }
 
@@ -394,8 +411,14 @@ mod tests {
         let world_to_camera = glam::DMat4::IDENTITY.transpose().to_cols_array_2d();
         let camera =
             NamedCamera { name: String::new(), intrinsics, world_to_camera, split: Split::Train };
-        let wanted =
-            Wanted { round: None, camera, format: Format::Png, shown: Shown::Colour, ev: 0.0 };
+        let wanted = Wanted {
+            round: None,
+            camera,
+            format: Format::Png,
+            shown: Shown::Colour,
+            ev: 0.0,
+            crop: None,
+        };
         // The key used by builds before CODE_VERSION 5.
         let about = std::fs::metadata(scene).expect("there");
         let mut hasher = blake3::Hasher::new();
@@ -407,6 +430,9 @@ mod tests {
         let key = key(scene, &wanted).expect("a key");
         assert_ne!(key, earlier[..32]);
         let brighter = Wanted { ev: 1.0, ..wanted };
-        assert_ne!(super::key(scene, &brighter).expect("a key"), key);
+        let brighter_key = super::key(scene, &brighter).expect("a key");
+        assert_ne!(brighter_key, key);
+        let part = Wanted { crop: "sphere:0,0,0,1".parse().ok(), ..brighter };
+        assert_ne!(super::key(scene, &part).expect("a key"), brighter_key);
     }
 }

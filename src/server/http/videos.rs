@@ -5,12 +5,14 @@ use std::sync::Arc;
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use fled_core::gaussians::crop::Crop;
 use fled_core::video::{Key, Kind, Plan, PlanError};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::access::Visitor;
+use super::exports::crop_of;
 use super::extract::Json;
 use super::lookup::{cameras_of, find, finished};
 use super::problem::Problem;
@@ -78,6 +80,9 @@ pub struct CreateVideo {
     height: Option<usize>,
     /// Round to use; by default the delivered one.
     round: Option<u32>,
+    /// Shows only the Gaussians whose centres lie in a shape around X, Y, Z:
+    /// `box:X,Y,Z,WIDTH,HEIGHT,DEPTH` or `sphere:X,Y,Z,RADIUS`, in the world of the poses.
+    crop: Option<String>,
     /// For an orbit, the total angle in degrees. 360 goes once around, less swings to both sides
     /// and back. By default the orbit reaches as far as the photographs.
     #[schema(minimum = 1, maximum = 360)]
@@ -95,21 +100,22 @@ pub struct CreateVideo {
 }
 
 impl CreateVideo {
-    fn plan(self) -> Plan {
+    fn plan(self) -> Result<Plan, Problem> {
         let key =
             |pose: VideoPose| Key { world_to_camera: pose.world_to_camera, seconds: pose.seconds };
-        Plan {
+        Ok(Plan {
             kind: self.kind,
             seconds: self.seconds,
             fps: self.fps,
             width: self.width,
             height: self.height,
             round: self.round,
+            crop: crop_of(self.crop.as_deref())?,
             degrees: self.degrees,
             elevation: self.elevation,
             distance: self.distance,
             poses: self.poses.map(|poses| poses.into_iter().map(key).collect()),
-        }
+        })
     }
 }
 
@@ -160,6 +166,9 @@ pub struct Video {
     kind: Kind,
     /// Round; `null` is the delivered one.
     round: Option<u32>,
+    /// The part of the scene that it shows; `null` is all of it.
+    #[schema(value_type = Option<String>)]
+    crop: Option<Crop>,
     /// Duration, seconds.
     seconds: f64,
     /// Frames per second.
@@ -199,6 +208,7 @@ impl Video {
             state,
             kind: plan.kind,
             round: plan.round,
+            crop: plan.crop,
             seconds: plan.seconds(),
             fps: plan.fps(),
             width: plan.width.unwrap_or(0),
@@ -241,7 +251,7 @@ pub async fn create(
     Extension(visitor): Extension<Visitor>,
     Json(body): Json<CreateVideo>,
 ) -> Result<Response, Problem> {
-    let mut plan = body.plan();
+    let mut plan = body.plan()?;
     plan.check().map_err(|error| bad_plan(&error))?;
     finished(&app, &job, plan.round).await?;
     let views = cameras_of(&app.data.output(&job)).await?;

@@ -68,6 +68,7 @@ impl Case {
             intersections: self.intersections,
         };
         let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
+        projection.set_dropped(7).unwrap();
         let image_gradient = gpu.upload("image gradient", &self.image_gradient).unwrap();
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
@@ -155,6 +156,8 @@ fn image_and_transmittance_match_the_reference_at_odd_sizes() {
     let run = scene.run(chosen());
     assert!(run.counts.visible > 500 && !run.counts.overflowed(), "{:?}", run.counts);
     assert_eq!(run.counts.intersections, run.tile_counts.iter().sum::<u32>() as usize);
+    // An image leaves the number of dropped gradients as it is.
+    assert_eq!(run.spans[0], [run.counts.intersections as u32, 7]);
     let expected = scene.reference(&run);
     mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
     mostly_within(&run.transmittance, &expected.transmittance, 1e-4, 1e-3).unwrap();

@@ -48,11 +48,17 @@ fn wait_state(server: &Server, path: &str, state: &str) -> Value {
 #[test]
 fn a_video_is_made_and_sent_whole_and_in_ranges() {
     let (server, _, videos) = server_with_job();
-    let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
+    let mut order = order(10, 1.0);
+    order["crop"] = json!("sphere: 0,0,0");
+    let refused = server.post_json(&videos, &order, &[]).expect(422).json();
+    assert_eq!(refused["pointer"], "/crop");
+    order["crop"] = json!("sphere: 0,0,0,1.5");
+    let reply = server.post_json(&videos, &order, &[]).expect(202);
     let path = reply.location();
     let made = id(reply);
     assert_eq!(path, format!("{videos}/{made}"));
     let shown = wait_state(&server, &path, "succeeded");
+    assert_eq!(shown["crop"], "sphere:0,0,0,1.5");
     // The views have 160 x 90 px.
     assert_eq!(
         (&shown["width"], &shown["height"], &shown["progress"]),

@@ -60,6 +60,14 @@ fn renders_of_a_running_job_show_its_last_finished_round() {
     let depth = render("view=001&format=png&round=1&show=depth").expect(200);
     assert_ne!(depth.header("etag"), png.header("etag"));
     assert_ne!(depth.body, png.body);
+    let part = render("view=001&format=png&round=1&crop=sphere:0,0,0,1").expect(200);
+    assert_ne!(part.header("etag"), png.header("etag"));
+    assert_ne!(part.body, png.body);
+    for (crop, fault) in [("sphere:0,0,0", "must be box"), ("sphere:9,0,0,1", "is inside")] {
+        let refused = render(&format!("view=001&crop={crop}")).expect(422).json();
+        assert_eq!(refused["pointer"], "/crop");
+        assert!(refused["detail"].as_str().is_some_and(|why| why.contains(fault)), "{refused:#}");
+    }
     render("view=001&show=height").expect(422);
     render("view=no-such-view").expect(404);
     render("round=2").expect(404);

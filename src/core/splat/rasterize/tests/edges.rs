@@ -69,10 +69,10 @@ fn a_tile_counted_but_not_emitted_has_no_effect() {
     let projection = Projection::new(gpu, n).unwrap();
     let view = fixtures::viewpoint(width, height);
     projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
-    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_000 };
+    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_001 };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     // Mark the rows, so that unwritten ones are visible.
-    buffers.slots.write(&vec![[7.0; SLOT_ROW]; 20_000]).unwrap();
+    buffers.slots.write(&vec![[7.0; SLOT_ROW]; 20_001]).unwrap();
     let gradient = gpu.upload("image gradient", &vec![1.0_f32; 3 * width * height]).unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
