@@ -161,7 +161,7 @@ impl Judge<'_> {
         if let Some(lpips) = &mut self.lpips {
             // Pixels that are not scored are replaced by the truth.
             let image = scored.composite(&render, truth);
-            scores.all.lpips_squeeze = Some(lpips.distance(&image, truth)?);
+            scores.all.lpips_squeeze = lpips.distance(&image, truth)?;
         }
         Ok((scores, render))
     }

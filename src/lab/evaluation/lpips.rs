@@ -38,18 +38,25 @@ impl Lpips {
         &self.checksum
     }
 
-    /// Perceptual distance of two pictures, 0 for equal ones.
+    /// Perceptual distance of two pictures, 0 for equal ones; `None` if the network's answer is not
+    /// a number. Exports without LPIPS' epsilon divide by zero where a pixel has no features.
     ///
     /// # Errors
     /// [`EvaluationError::Lpips`].
-    pub fn distance(&mut self, image: &Image, truth: &Image) -> Result<f64, EvaluationError> {
+    pub fn distance(
+        &mut self,
+        image: &Image,
+        truth: &Image,
+    ) -> Result<Option<f64>, EvaluationError> {
         let shape = [1, 3, image.height(), image.width()];
         let [reference, distorted] = [truth, image].map(normalised);
         let input = |name, values| Input { name, shape: &shape, values };
         let inputs = [input("ref", &*reference), input("dist", &*distorted)];
         let [score] = self.network.run(&inputs, ["score"]).map_err(EvaluationError::Lpips)?;
         let score = score.values.first().copied().map(f64::from);
-        score.ok_or_else(|| EvaluationError::Lpips("the network's score is empty".to_owned()))
+        let score = score
+            .ok_or_else(|| EvaluationError::Lpips("the network's score is empty".to_owned()))?;
+        Ok(Some(score).filter(|score| score.is_finite()))
     }
 }
 

@@ -117,7 +117,19 @@ pub fn table(evaluation: &Evaluation) -> String {
         text += &row(&view.name, &share, &view.mapped, &view.registered, &moved);
     }
     let (mapped, registered) = (&evaluation.mapped, &evaluation.registered);
-    text + &row("mean", "", mapped, registered, "")
+    text + &row("mean", "", mapped, registered, "") + &without_lpips(evaluation)
+}
+
+/// Names the views whose LPIPS is not a number, which leave no mean.
+fn without_lpips(evaluation: &Evaluation) -> String {
+    let lacks = |view: &&TestView| {
+        [&view.mapped, &view.registered].iter().any(|scores| scores.all.lpips_squeeze.is_none())
+    };
+    let names: Vec<_> = evaluation.views.iter().filter(lacks).map(|view| &*view.name).collect();
+    if evaluation.lpips_network.is_none() || names.is_empty() {
+        return String::new();
+    }
+    format!("\nThe network's LPIPS of {} is not a number, so there is no mean.\n", names.join(", "))
 }
 
 fn row(

@@ -131,6 +131,22 @@ fn the_true_scene_scores_perfectly_in_another_world() {
 }
 
 #[test]
+fn a_view_whose_lpips_is_not_a_number_is_named() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = truth(folder.path(), |_, camera| *camera);
+    let mut judged = judge(&subject(), &truth, false).expect("judged");
+    assert!(!table(&judged).contains("not a number"), "no network was given");
+    judged.lpips_network = Some("a checksum".to_owned());
+    let name = judged.views[1].name.clone();
+    for (n, view) in judged.views.iter_mut().enumerate() {
+        view.mapped.all.lpips_squeeze = Some(0.25);
+        view.registered.all.lpips_squeeze = (n != 1).then_some(0.25);
+    }
+    let table = table(&judged);
+    assert!(table.contains(&format!("LPIPS of {name} is not a number, so")), "{table}");
+}
+
+#[test]
 fn a_wrong_camera_lowers_the_mapped_scores_only() {
     let folder = tempfile::tempdir().expect("a folder");
     // About two pixels to the right and one down.

@@ -15,8 +15,9 @@ pub struct SlotRows {
     pub colours: Buffer<[f32; 4]>,
     /// Sums of v dx, v dy, v dx^2, v dx dy, [intersections].
     pub moments: Buffer<[f32; 4]>,
-    /// [2, intersections, rounded up to even]: the Gaussian; the bits of the sum of v dy^2. One buffer for both keeps
-    /// the bindings of the backward pass at eight. Without gradients, the Gaussian alone.
+    /// [2, intersections, rounded up to even]: the Gaussian; the bits of the sum of v dy^2. One
+    /// buffer for both keeps the bindings of the backward pass at eight. Without gradients, the
+    /// Gaussian alone.
     pub words: Buffer<u32>,
 }
 
