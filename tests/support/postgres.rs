@@ -4,6 +4,7 @@
 use std::fs;
 use std::net::TcpListener;
 use std::os::unix::fs::{PermissionsExt, chown};
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::OnceLock;
@@ -24,6 +25,7 @@ pub struct Postgres {
     folder: PathBuf,
     port: u16,
     child: Option<Child>,
+    remover: Child,
     databases: AtomicU32,
 }
 
@@ -73,7 +75,8 @@ impl Postgres {
             let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
             taken.local_addr().expect("address").port()
         };
-        let mut server = Self { folder, port, child: None, databases: AtomicU32::new(0) };
+        let remover = remover(&folder);
+        let mut server = Self { folder, port, child: None, remover, databases: AtomicU32::new(0) };
         server.begin();
         server
     }
@@ -91,6 +94,7 @@ impl Postgres {
             .arg(&self.folder)
             // The tests do not cover power cuts.
             .args(["-c", "fsync=off", "-c", "max_connections=200"])
+            .args(["-c", "min_wal_size=32MB", "-c", "max_wal_size=64MB"])
             .stdout(Stdio::null())
             .stderr(log)
             .spawn()
@@ -165,8 +169,25 @@ impl Drop for Postgres {
             let _ = child.kill();
             let _ = child.wait();
         }
-        let _ = fs::remove_dir_all(&self.folder);
+        drop(self.remover.stdin.take());
+        let _ = self.remover.wait();
     }
+}
+
+/// A process that removes `folder` once its input is closed, at the latest by the end of this
+/// process: a static server is never dropped, and its databases take some 600 MB.
+fn remover(folder: &Path) -> Child {
+    // PostgreSQL's processes write until they notice that theirs has ended.
+    Command::new("sh")
+        .args(["-c", "read -r _; sleep 1; rm -rf \"$0\" || { sleep 5; rm -rf \"$0\"; }"])
+        .arg(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        // An interrupt at the terminal must not end it.
+        .process_group(0)
+        .spawn()
+        .expect("sh starts")
 }
 
 /// A program of the newest installed PostgreSQL.
