@@ -1,5 +1,5 @@
-// What the user has drawn in the scene to shape exports, pictures and videos of it; the scene and
-// the list of exports both show and change it.
+// The user's crop of exports, pictures and videos, and the scale of exports. The scene and the list
+// of exports both show and change them.
 
 /**
  * `now` is `{ isOffered, crop, scale }`: whether there are exports, the crop, and the metres per
