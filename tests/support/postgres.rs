@@ -175,7 +175,7 @@ impl Drop for Postgres {
 }
 
 /// A process that removes `folder` once its input is closed, at the latest by the end of this
-/// process: a static server is never dropped, and its databases take some 600 MB.
+/// process: a static server is never dropped, and its databases take hundreds of megabytes.
 fn remover(folder: &Path) -> Child {
     // PostgreSQL's processes write until they notice that theirs has ended.
     Command::new("sh")
