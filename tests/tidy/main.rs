@@ -4,6 +4,7 @@
 mod boundaries;
 mod columns;
 mod comments;
+mod links;
 mod oracles;
 mod shaders;
 mod sources;
